@@ -116,7 +116,7 @@ class Outside(_Sending, Protocol):
         """Whether a program outside publishes on a topic: it says so, or a message has come lately."""
 
 
-class _Absence(NamedTuple):
+class _Silence(NamedTuple):
     """Why nothing arrived on a topic: from a frame on, until the first frame that was answered again."""
 
     since: int
@@ -145,7 +145,7 @@ class OutsideTally:
         self.left_out: Counter[str] = Counter()
         self.unclassified = 0
         self._publishers: dict[str, set[bytes]] = {topic: set() for topic in topics}
-        self._absent: dict[str, _Absence] = {}  # the newest, by topic
+        self._absent: dict[str, _Silence] = {}  # the newest, by topic
 
     def note_publisher(self, arrival: Arrival) -> None:
         """Count the publishers of a topic of answers."""
@@ -171,7 +171,7 @@ class OutsideTally:
         for topic in topics:
             known = self._absent.get(topic)
             if (known is None or known.until is not None) and (reason := outside.absence(topic)):
-                self._absent[topic] = _Absence(frame, reason)
+                self._absent[topic] = _Silence(frame, reason)
 
     def refuse(self, error: MessageError) -> None:
         """Count a message that cannot be used, by the reason's part before the colon."""

@@ -16,7 +16,7 @@ from mast_zenoh.arrays.states import Detections, Floats, ObjectStates
 from mast_zenoh.gather import Gather, LatestBefore
 from mast_zenoh.integrity.views import UNKNOWN_SPACE, SweptView, view_columns
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.pipelines import AgentPipeline, AgentSensor, Pose
+from mast_zenoh.pipelines import AgentPipeline, OwnSensor, Pose
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.sensing import LidarSensor, sensor_pose, to_world
 from mast_zenoh.tracking.kalman import predicted
@@ -102,7 +102,7 @@ class Agent(Node):
         status_every: int = 10,
         picture_age_s: float = 0.5,
         unsupported_std_m: float = 0.5,
-        sensors: tuple[AgentSensor, ...] = (),
+        sensors: tuple[OwnSensor, ...] = (),
         measurement_times: bool = True,
         tracks_from: Literal["world", "agent"] = "world",
     ) -> None:
@@ -324,7 +324,7 @@ def sensor_in_world(pose: Pose, mount: Pose) -> tuple[Floats, Floats]:
     return sensor_pose(pose.position, agent, mount.position, sensor)
 
 
-def _mount(sensor: AgentSensor) -> Pose:
+def _mount(sensor: OwnSensor) -> Pose:
     """The mount of a sensor, while its agent stands."""
     return Pose(np.array(sensor.mount_position), np.array(sensor.mount_rotation))
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.fusion.input_limit import InputLimit
-from mast_zenoh.fusion.regions import Region
+from mast_zenoh.fusion.regions import ServedArea
 from mast_zenoh.gather import MAX_AGE_S, LatestBefore
 from mast_zenoh.integrity.views import view_of
 from mast_zenoh.node import Context, Received
@@ -37,7 +37,7 @@ class Center(CollatingNode, FusingNode):
     def __init__(
         self,
         pipeline: Pipeline,
-        region: Region,
+        region: ServedArea,
         margin_m: float = 20.0,
         overlap_m: float = 2.0,
         latency_s: float = 0.0,

@@ -19,10 +19,10 @@ from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.driving import CarLimits, Command, RouteAhead
 from mast_zenoh.driving.actuation import HOLD_S, TAKE_OVER_S
-from mast_zenoh.effects import Pose
+from mast_zenoh.effects import ReportedPose
 from mast_zenoh.errors import MessageError
 from mast_zenoh.evaluation import Evaluation, RunData, RunScoring, ego_of
-from mast_zenoh.evaluation.driven import Arrival, Heard, View
+from mast_zenoh.evaluation.driven import ArrivedEstimate, Heard, OwnView
 from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth, TrueFrame
 from mast_zenoh.evaluation.driver_wires import PlayedDrivers, check_played, driver_ports, drivers_of
 from mast_zenoh.evaluation.estimate_wires import estimates_on
@@ -59,7 +59,7 @@ REMEMBERED = RECOGNISED + SETTLE_EVERY + 2
 MAX_POINTS, MAX_STEP_M = 1000, 10.0
 
 
-class Route(NamedTuple):
+class KeyUse(NamedTuple):
     """How the evaluator uses the messages of a key.
 
     take:   name of the method that handles them
@@ -136,8 +136,8 @@ class Evaluator(Node):
         )
         self.data = RunData(Record(agents))
         self.scoring = RunScoring(self.evaluation, self.data)
-        self.routes: dict[str, Route] = {}
-        self.takes: dict[str, Callable[[Overheard, Route], None]] = {}
+        self.routes: dict[str, KeyUse] = {}
+        self.takes: dict[str, Callable[[Overheard, KeyUse], None]] = {}
         self.metered: set[str] = set()
         #: The recently kept messages, by wire and (frame, sequence number).
         self.recent: dict[str, dict[tuple[int, int], list[tuple[Overheard, Snapshot]]]] = defaultdict(dict)
@@ -218,16 +218,16 @@ class Evaluator(Node):
         if number is not None and math.isfinite(number):
             values.append(number)
 
-    def take_nothing(self, message: Overheard, route: Route) -> None:
+    def take_nothing(self, message: Overheard, route: KeyUse) -> None:
         """A message that only metrics of messages use."""
         message.check()
 
-    def take_clock(self, message: Overheard, route: Route) -> None:
+    def take_clock(self, message: Overheard, route: KeyUse) -> None:
         """Store the time of a frame."""
         message.check()
         self.data.times_ns[message.header.frame] = message.header.time_ns
 
-    def take_truth(self, message: Overheard, route: Route) -> None:
+    def take_truth(self, message: Overheard, route: KeyUse) -> None:
         """Store the truth of a frame."""
         body = message.body
         columns = {name: body[name] for name in ("id", "size", "yaw", "velocity", "class_id")}
@@ -240,12 +240,12 @@ class Evaluator(Node):
         if route.ports:
             self.hear(message, route, TRUTH, Snapshot.of(objects, views=message.encoded))
 
-    def take_pose(self, message: Overheard, route: Route) -> None:
+    def take_pose(self, message: Overheard, route: KeyUse) -> None:
         """Store an agent's pose, to which its detections are relative."""
-        pose = Pose(message.body["position"].copy(), message.body["rotation"].copy())
+        pose = ReportedPose(message.body["position"].copy(), message.body["rotation"].copy())
         self.data.poses[message.wire.subject, message.header.frame] = pose
 
-    def take_estimate(self, message: Overheard, route: Route) -> None:
+    def take_estimate(self, message: Overheard, route: KeyUse) -> None:
         """Store an estimate, as sent, as another node received it, or both."""
         first, header = route.series[0], message.header
         if first.estimator == PICTURE:
@@ -254,7 +254,7 @@ class Evaluator(Node):
             self.data.tracks_sent.setdefault((message.wire.subject, header.frame), message.step)
         self.keep(message, route)
 
-    def keep(self, message: Overheard, route: Route) -> None:
+    def keep(self, message: Overheard, route: KeyUse) -> None:
         """Store an estimate; a message forwarded unchanged is stored only once."""
         objects, header = None, message.header
         if route.wire:
@@ -279,13 +279,15 @@ class Evaluator(Node):
                 objects = Snapshot._make(column[plausible] for column in objects)
             self.hear(message, route, route.series[0].estimator if route.series else "", objects)
 
-    def hear(self, message: Overheard, route: Route, estimate: str, objects: Snapshot) -> None:
+    def hear(self, message: Overheard, route: KeyUse, estimate: str, objects: Snapshot) -> None:
         """Store an estimate as drivers received it."""
         header = message.header
         for car, port in route.ports:
-            self.data.heard[car].add(port, _step(message), Arrival(header.frame, header.time_ns, estimate, objects))
+            self.data.heard[car].add(
+                port, _step(message), ArrivedEstimate(header.frame, header.time_ns, estimate, objects)
+            )
 
-    def take_view(self, message: Overheard, route: Route) -> None:
+    def take_view(self, message: Overheard, route: KeyUse) -> None:
         """Store what an agent's own sensor sees, as drivers received it."""
         try:
             check_view(message.body)
@@ -294,9 +296,9 @@ class Evaluator(Node):
         header = message.header
         body = {name: column.copy() for name, column in message.body.items()} if message.encoded else message.body
         for car, _ in route.ports:
-            self.data.heard[car].see(_step(message), View(header.frame, header.time_ns, view_of(body)))
+            self.data.heard[car].see(_step(message), OwnView(header.frame, header.time_ns, view_of(body)))
 
-    def take_command(self, message: Overheard, route: Route) -> None:
+    def take_command(self, message: Overheard, route: KeyUse) -> None:
         """Store a command as a driver sent it, or as it reached the car."""
         command = Command(*(float(message.body[name][0]) for name in Command._fields))
         for car, port in route.ports:
@@ -305,7 +307,7 @@ class Evaluator(Node):
             else:
                 self.data.heard[car].obey(_step(message), message.header.frame, command)
 
-    def take_route(self, message: Overheard, route: Route) -> None:
+    def take_route(self, message: Overheard, route: KeyUse) -> None:
         """Store the lane ahead of a driven car, as the world sent it."""
         position, speed, stop = (message.body[name] for name in ("position", "speed", "stop"))
         if not 2 <= len(position) <= MAX_POINTS or np.abs(np.diff(position, axis=0)).max() > MAX_STEP_M:
@@ -317,24 +319,24 @@ class Evaluator(Node):
             if heard.on_truth is not None:
                 heard.on_truth.add(message.header.frame, "route", ahead)
 
-    def take_reception(self, message: Overheard, route: Route) -> None:
+    def take_reception(self, message: Overheard, route: KeyUse) -> None:
         """Store how busy the channel was at a station, and how many messages it lost."""
         body = message.body
         lost = len(body["lost"]) + len(body["lost_awareness"])
         state = float(body["busy_ratio"][0]), int(body["airtime_ns"][0]), int(body["sent"][0]), lost
         self.data.receptions[message.wire.subject, message.header.frame] = state
 
-    def take_trust(self, message: Overheard, route: Route) -> None:
+    def take_trust(self, message: Overheard, route: KeyUse) -> None:
         """Store the command centre's trust in agents and objects."""
         frame = message.header.frame
         self.data.trust.setdefault(frame, TrustUpdate(frame, message.body))
 
-    def take_attack_report(self, message: Overheard, route: Route) -> None:
+    def take_attack_report(self, message: Overheard, route: KeyUse) -> None:
         """Store an adversary's report of its changes."""
         header = message.header
         self.data.attack_reports.append((header.source, header.frame, header.seq, message.body))
 
-    def take_link_report(self, message: Overheard, route: Route) -> None:
+    def take_link_report(self, message: Overheard, route: KeyUse) -> None:
         """Store a link's report of what it did to messages in the previous step."""
         header = message.header
         self.data.link_reports.append((header.source, header.frame, header.seq, message.body))
@@ -363,7 +365,7 @@ def routes(
     agents: Sequence[str],
     played: PlayedDrivers | None = None,
     metrics: Sequence[MessageMetric] = (),
-) -> dict[str, Route]:
+) -> dict[str, KeyUse]:
     """The route of each key of a wiring.
 
     Keys that the evaluator does not need are left out.
@@ -397,7 +399,7 @@ def routes(
     own = {key: tuple(each for each in metrics if each.message == kind) for key, kind in sent.items()}
     takes = dict.fromkeys((key for key, found in own.items() if found), "take_nothing") | takes
     return {
-        key: Route(take, tuple(series[key]), shared.get(key, ""), ports.get(key, ()), own.get(key, ()))
+        key: KeyUse(take, tuple(series[key]), shared.get(key, ""), ports.get(key, ()), own.get(key, ()))
         for key, take in takes.items()
     }
 

@@ -23,8 +23,8 @@ from mast_zenoh.links import (
     FATES,
     WIRES,
     Chain,
-    Outcome,
     Passage,
+    PassageOutcome,
     Rule,
     SenderPose,
     Sensed,
@@ -39,7 +39,7 @@ from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.wiring.model import ANY, DOWN, agent_of, part_of, wire_key
 
 
-class Event(NamedTuple):
+class ReportRow(NamedTuple):
     """A row of the link report."""
 
     port: int
@@ -83,7 +83,7 @@ class Link(Node):
         self.chains: dict[tuple[str, str], tuple[Chain, bool]] = {}  # of a wire, and whether it leads to the agent
         self.poses: LatestBefore[SenderPose] = LatestBefore()
         self.newest_pose: SenderPose | None = None
-        self.events: list[tuple[Event, str]] = []  # with its port
+        self.events: list[tuple[ReportRow, str]] = []  # with its port
         self.clocks: tuple[tuple[int, int], tuple[int, int]] = ((-1, 0), (-1, 0))  # frame and time of the latest two
         self.carried: Counter[str] = Counter()
         self.fates: dict[str, Counter[str]] = {}
@@ -173,7 +173,7 @@ class Link(Node):
         else:
             context.relay(port, received, body, time_ns=time_ns, after_s=after_s)
 
-    def note(self, port: str, received: Received, outcome: Outcome) -> None:
+    def note(self, port: str, received: Received, outcome: PassageOutcome) -> None:
         """Note the fate of a message for the report; malformed messages are not reported."""
         try:
             header = received.message.header
@@ -181,7 +181,7 @@ class Link(Node):
             return
         for fate, rule in outcome.fates.items():
             kind = WIRES.index(header.schema) if header.schema in WIRES else len(WIRES)
-            event = Event(kind, header.frame, header.seq, FATES.index(fate), rule, outcome.delay_s)
+            event = ReportRow(kind, header.frame, header.seq, FATES.index(fate), rule, outcome.delay_s)
             self.events.append((event, port))
 
     def report(self, context: Context) -> None:
@@ -197,7 +197,7 @@ class Link(Node):
         for event, port in rows:
             self.fates.setdefault(port, Counter())[FATES[event.fate]] += 1
         if rows:
-            columns = zip(Event._fields, zip(*(event for event, _ in rows), strict=True), strict=True)
+            columns = zip(ReportRow._fields, zip(*(event for event, _ in rows), strict=True), strict=True)
             context.publish("report", {name: np.array(column) for name, column in columns})
 
     def finish(self, context: Context) -> dict[str, object]:

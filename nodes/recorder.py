@@ -11,7 +11,7 @@ from typing import Any
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.node import Context, Node, Overheard
-from mast_zenoh.run_folder.recording.format import JOINED, LEFT, REWIRED, Event
+from mast_zenoh.run_folder.recording.format import JOINED, LEFT, REWIRED, RecordedEvent
 from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.wiring.model import ANY
@@ -33,15 +33,15 @@ class Recorder(Node):
 
     def rewired(self, context: Context) -> None:
         """Record a change of the wiring."""
-        self.log.add_event(Event(REWIRED, context.frame, wiring=context.wiring.to_json()))
+        self.log.add_event(RecordedEvent(REWIRED, context.frame, wiring=context.wiring.to_json()))
 
     def joined(self, node: str, role: str, context: Context) -> None:
         """Record that a node has joined."""
-        self.log.add_event(Event(JOINED, context.frame, node, role))
+        self.log.add_event(RecordedEvent(JOINED, context.frame, node, role))
 
     def left(self, node: str, role: str, context: Context) -> None:
         """Record that a node has left."""
-        self.log.add_event(Event(LEFT, context.frame, node, role))
+        self.log.add_event(RecordedEvent(LEFT, context.frame, node, role))
 
     def on_everything(self, overheard: Overheard, context: Context) -> None:
         """Record a message, valid or not; of its body only completeness is checked."""

@@ -22,7 +22,7 @@ from mast_zenoh.deploy.compose_inside import EXAMPLES, example
 from mast_zenoh.layers import LAYERS
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.report.figures.plots import Plots
-from mast_zenoh.runs.agent import Agent
+from mast_zenoh.runs.agent import AgentMessages
 from mast_zenoh.runs.messages import WireMessage
 from mast_zenoh.study.interface import carry_out
 
@@ -145,7 +145,7 @@ def api_page() -> str:
     ]
     functions = [name for name in mast_zenoh.__all__ if name[0].islower()]
     named = {name: getattr(mast_zenoh, name) for name in mast_zenoh.__all__ if name[0].isupper()}
-    named |= {cls.__name__: cls for cls in (Agent, PreparedAgent, Plots, WireMessage, Entry, Parameter)}
+    named |= {cls.__name__: cls for cls in (AgentMessages, PreparedAgent, Plots, WireMessage, Entry, Parameter)}
     for name in functions:
         function = carry_out if name == "study" else getattr(mast_zenoh, name)
         lines += [f"### `mast.{name}{_signature(function)}`", "", *_text(function), ""]

@@ -15,7 +15,7 @@ from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, canonical_order
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.following import Follower
 from mast_zenoh.attacks.imitation import ForgedIds, Imitation, VictimLike
-from mast_zenoh.attacks.knowledge import Adversary
+from mast_zenoh.attacks.knowledge import Attacker
 from mast_zenoh.attacks.selection import Selection, UncoordinatedSelection
 from mast_zenoh.attacks.surroundings import UNKNOWN, Coverage, Surroundings, unlimited
 from mast_zenoh.attacks.targets import Tampering, Targets, ViewForger
@@ -24,7 +24,7 @@ from mast_zenoh.messages.schemas import Body
 from mast_zenoh.tracking.view import SensorView
 
 
-class Attack(Adversary):
+class Attack(Attacker):
     """Base class of attacks: tampers with the messages of a victim."""
 
     def look(self, view: SensorView, *, fused: bool) -> None:

@@ -13,7 +13,7 @@ from mast_zenoh.attacks.adaptive import Budget
 from mast_zenoh.attacks.attack import OWN_TARGET_M
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.following import Follower
-from mast_zenoh.attacks.knowledge import Adversary, Trust, TrustWatch
+from mast_zenoh.attacks.knowledge import Attacker, Trust, TrustWatch
 from mast_zenoh.attacks.phantoms import BOX
 from mast_zenoh.attacks.regions import REGIONS, Shape
 from mast_zenoh.attacks.selection import CoordinatedSelection, Selection, ground_height
@@ -27,7 +27,7 @@ EGO_M = 3.0
 ESTABLISHED = 10
 
 
-class Coordination(Adversary):
+class Coordination(Attacker):
     """Base class of coordinators: directs adversaries, in every frame for the next."""
 
     def look(self, views: tuple[SensorView, ...]) -> None:

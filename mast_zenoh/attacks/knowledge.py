@@ -40,7 +40,7 @@ class Trust:
         return cls(tuple(map(str, columns["agents"])), *(columns[name] for name in names))
 
 
-class Adversary(ABC):  # noqa: B024 (attacks and coordinators have their own `step`)
+class Attacker(ABC):  # noqa: B024 (attacks and coordinators have their own `step`)
     """What attacks and coordinators of several have in common: random streams and knowledge."""
 
     def bind(self, seed: int, name: str) -> None:  # noqa: B027 (a hook: without random numbers it needs no streams)
@@ -67,7 +67,7 @@ class Adversary(ABC):  # noqa: B024 (attacks and coordinators have their own `st
 
 
 def tell_newest(
-    listener: Adversary,
+    listener: Attacker,
     heard: dict[str, int],
     frame: int,
     pictures: LatestBefore[Received],

@@ -14,7 +14,7 @@ import json
 from pathlib import Path
 
 from mast_zenoh.checks.convergence import check_convergence
-from mast_zenoh.checks.evidence import Check, Evidence
+from mast_zenoh.checks.evidence import Check, RunEvidence
 from mast_zenoh.checks.messages import check_collation, check_sequences
 from mast_zenoh.checks.runs import RunCheck, apply, check_processes, of_scenario
 from mast_zenoh.config.resolved import Resolved
@@ -38,7 +38,7 @@ def run(folder: Path, resolved: Resolved) -> list[Check]:
     """
     heals: list[float] = []
     try:
-        evidence = Evidence.read(folder, resolved)
+        evidence = RunEvidence.read(folder, resolved)
     except RunFolderError as error:
         checks = [Check.skipped(name, str(error)) for name in ("collation", "convergence", "sequences")]
     else:

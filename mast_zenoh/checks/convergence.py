@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.checks.evidence import Check, Evidence
+from mast_zenoh.checks.evidence import Check, RunEvidence
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
@@ -34,7 +34,7 @@ ENOUGH_S = 2.0
 _cache: tuple[str, dict[int, Floats]] = ("", {})
 
 
-def check_convergence(evidence: Evidence) -> Check:
+def check_convergence(evidence: RunEvidence) -> Check:
     """Check that the picture is close to that without links and faults at the end.
 
     converged_after_s is the time from the last heal until the distance stays below the threshold. The check is skipped
@@ -77,7 +77,7 @@ def check_convergence(evidence: Evidence) -> Check:
     return Check(NAME, False, f"the picture has not converged: {summary}, expected less than {THRESHOLD_M:g} m", values)
 
 
-def _undefined(evidence: Evidence) -> str | None:
+def _undefined(evidence: RunEvidence) -> str | None:
     """Why the pictures need not become equal."""
     if faults := evidence.open_faults():
         return f"{', '.join(faults)} lasts to the end"

@@ -57,7 +57,7 @@ class TracksSummary(NamedTuple):
     magnitude: float
 
 
-class Sent(NamedTuple):
+class SentMessage(NamedTuple):
     """A valid message on one leg.
 
     content: for tracks, TracksSummary; for a collation, the rows of each agent whose tracks are of its own frame; for a
@@ -84,7 +84,7 @@ Id = tuple[int, int]
 
 
 @dataclass
-class Evidence:
+class RunEvidence:
     """The record of a run.
 
     run, metrics: run.json and metrics.json
@@ -99,13 +99,13 @@ class Evidence:
     wiring: Wiring
     run: Mapping[str, Any]
     metrics: Mapping[str, Any]
-    sent: dict[str, list[Sent]] = field(default_factory=lambda: defaultdict(list))
+    sent: dict[str, list[SentMessage]] = field(default_factory=lambda: defaultdict(list))
     malformed: dict[str, int] = field(default_factory=lambda: defaultdict(int))
     fates: dict[tuple[str, str], dict[Id, list[Fate]]] = field(default_factory=lambda: defaultdict(dict))
     times_ns: dict[int, int] = field(default_factory=dict)
 
     @classmethod
-    def read(cls, folder: Path, resolved: Resolved) -> Evidence:
+    def read(cls, folder: Path, resolved: Resolved) -> RunEvidence:
         """Read the evidence in a run folder.
 
         Raises RunFolderError if the run or its recording is incomplete, ConfigurationError without kernels to read it.
@@ -132,7 +132,7 @@ class Evidence:
                 content = _SUMMARIES[message.message](body)
                 if message.message == "link_report":
                     evidence._add_report(message.publisher, body)
-            evidence.sent[key].append(Sent(message.frame, message.seq, message.time_ns, content, message.step))
+            evidence.sent[key].append(SentMessage(message.frame, message.seq, message.time_ns, content, message.step))
             if message.message == "clock":
                 evidence.times_ns[message.frame] = message.time_ns
         lost = run.get("recorded", {}).get("lost", 0)

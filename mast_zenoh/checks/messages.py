@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from mast_zenoh.checks.evidence import Check, Evidence, Fate, Id, Sent
+from mast_zenoh.checks.evidence import Check, Fate, Id, RunEvidence, SentMessage
 from mast_zenoh.gather import MAX_TRACK_VALUE
 from mast_zenoh.wiring.model import Leg, Wire
 
@@ -22,7 +22,7 @@ _BATCH = ("collated", "")  # the broker's output
 _KNOWN_ROLES = ("adversary", "link")
 
 
-def check_collation(evidence: Evidence) -> Check:
+def check_collation(evidence: RunEvidence) -> Check:
     """Check that each message that arrived in time is in the batch, with all its rows.
 
     Exempt are messages whose time was changed, several messages of one frame, late ones (in real time: as many as the
@@ -94,7 +94,7 @@ def check_collation(evidence: Evidence) -> Check:
     )
 
 
-def _chain(evidence: Evidence, key: str) -> list[str]:
+def _chain(evidence: RunEvidence, key: str) -> list[str]:
     """The interposers that a message passes before a key, in order."""
     for wire in evidence.wiring.wires:
         trunk = [leg.publisher.node for leg in wire.legs[1:]]
@@ -108,12 +108,12 @@ def _chain(evidence: Evidence, key: str) -> list[str]:
 
 
 def _exemption(
-    message: Sent,
+    message: SentMessage,
     agent: str,
     broker: str,
     interposed: bool,
     batches: Mapping[int, Mapping[str, int]],
-    evidence: Evidence,
+    evidence: RunEvidence,
 ) -> str | None:
     """Why a message may be missing from the collation; None: it must be there."""
     frame = message.frame
@@ -138,7 +138,7 @@ def _exemption(
     return "not physical" if message.content.magnitude > _SURELY_ACCEPTED else None
 
 
-def _closed(frame: int, broker: str, evidence: Evidence) -> int | None:
+def _closed(frame: int, broker: str, evidence: RunEvidence) -> int | None:
     """The frame whose clock makes the broker emit a frame's batch; None: none did."""
     config = evidence.resolved.nodes[broker].config
     latency_ns, patience = round(float(config.get("latency_s", 0.0)) * 1e9), int(config.get("patience", 0))
@@ -149,7 +149,7 @@ def _closed(frame: int, broker: str, evidence: Evidence) -> int | None:
     return None
 
 
-def _late(evidence: Evidence, broker: str) -> dict[str, int] | None:
+def _late(evidence: RunEvidence, broker: str) -> dict[str, int] | None:
     """Late messages of each agent, as counted by the broker; None if one is missing."""
     if any(step.node == broker for step in evidence.resolved.steps) or "late" not in evidence.metrics:
         return None
@@ -165,7 +165,7 @@ class _Account:
     problems: list[str] = field(default_factory=list)
 
 
-def check_sequences(evidence: Evidence) -> Check:
+def check_sequences(evidence: RunEvidence) -> Check:
     """Check that every leg has all messages of its publisher or interposer's input.
 
     A missing message is explained if a link reports that it dropped, corrupted or delayed it beyond the end, if its
@@ -201,7 +201,7 @@ def _hops(wire: Wire) -> Iterator[tuple[Leg, Leg]]:
         yield from pairwise((wire.legs[-1], *branch.legs))
 
 
-def _check_publisher(wire: Wire, evidence: Evidence, account: _Account) -> None:
+def _check_publisher(wire: Wire, evidence: RunEvidence, account: _Account) -> None:
     """Check the first leg, where every process of the publisher counts from 0."""
     leg = wire.legs[0]
     publisher = leg.publisher.node
@@ -234,7 +234,7 @@ def _check_publisher(wire: Wire, evidence: Evidence, account: _Account) -> None:
         expected[process] = message.seq + 1
 
 
-def _check_interposer(wire: Wire, before: Leg, leg: Leg, evidence: Evidence, account: _Account) -> None:
+def _check_interposer(wire: Wire, before: Leg, leg: Leg, evidence: RunEvidence, account: _Account) -> None:
     """Compare the leg after an interposer with the leg before it."""
     received = Counter((message.frame, message.seq) for message in evidence.sent.get(before.key, ()))
     sent = Counter((message.frame, message.seq) for message in evidence.sent.get(leg.key, ()))
@@ -273,7 +273,7 @@ def _check_interposer(wire: Wire, before: Leg, leg: Leg, evidence: Evidence, acc
             account.problems.append(f"{leg.key}: sequence {id_[1]} of frame {id_[0]} has {surplus} copies too many")
 
 
-def _why_missing(id_: Id, node: str, fates: Iterable[Fate], unreported: int, evidence: Evidence) -> str | None:
+def _why_missing(id_: Id, node: str, fates: Iterable[Fate], unreported: int, evidence: RunEvidence) -> str | None:
     """Why an interposer did not forward a message; None if unknown."""
     frame = id_[0]
     for fate in fates:

@@ -50,12 +50,12 @@ Versions = Annotated[
 ]
 
 
-class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class ControlMessage(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A message, or a part of one, that is a map with exactly these fields."""
 
 
 def encode(message: Any) -> bytes:
-    """Encode a message: a Message, a tuple, or plain values."""
+    """Encode a message: a ControlMessage, a tuple, or plain values."""
     return msgspec.msgpack.encode(message)
 
 

@@ -18,7 +18,7 @@ import msgspec
 
 from mast_zenoh.config import bundle, plugins
 from mast_zenoh.control import codec
-from mast_zenoh.control.codec import FrameOrNone, Id, Line, Message, Positive, ShortLine
+from mast_zenoh.control.codec import ControlMessage, FrameOrNone, Id, Line, Positive, ShortLine
 from mast_zenoh.errors import HandlerFailed
 
 Entry = dict[str, Any]
@@ -67,7 +67,7 @@ class Failure:
         }
 
 
-class FailureEntry(Message, frozen=True):
+class FailureEntry(ControlMessage, frozen=True):
     """An entry, as a message holds it."""
 
     handler: ShortLine

@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from mast_zenoh import errors
 from mast_zenoh.control import codec
-from mast_zenoh.control.codec import Message, Name, Text, Versions, Whole, encode
+from mast_zenoh.control.codec import ControlMessage, Name, Text, Versions, Whole, encode
 from mast_zenoh.errors import MastError, MessageError, RunError
 
 T = TypeVar("T")
@@ -25,25 +25,25 @@ _MAX_ANSWER = PIECE_BYTES + (1 << 20)
 _Content = Annotated[bytes, Meta(max_length=PIECE_BYTES)]
 
 
-class Join(Message, frozen=True, tag_field="do", tag="join"):
+class FilesRequest(ControlMessage, frozen=True, tag_field="do", tag="join"):
     """A node's request for its files, with the versions of mast and its packages."""
 
     version: Annotated[str, Meta(max_length=200)]
     versions: Versions
 
 
-class Clock(Message, frozen=True, tag_field="do", tag="clock"):
+class Clock(ControlMessage, frozen=True, tag_field="do", tag="clock"):
     """A node's request for the launcher's time."""
 
 
-class Piece(Message, frozen=True, tag_field="do", tag="piece"):
+class Piece(ControlMessage, frozen=True, tag_field="do", tag="piece"):
     """A node's request for a piece of one of its files."""
 
     path: Text
     offset: Whole
 
 
-class Written(Message, frozen=True):
+class Written(ControlMessage, frozen=True):
     """A piece of a file that a node has written."""
 
     path: Text
@@ -51,7 +51,7 @@ class Written(Message, frozen=True):
     piece: _Content
 
 
-class NodeFiles(Message, frozen=True):
+class NodeFiles(ControlMessage, frozen=True):
     """The answer to Join: the files for a node.
 
     files: sizes in bytes by path; written: files that the node wrote before
@@ -61,25 +61,27 @@ class NodeFiles(Message, frozen=True):
     written: list[Text]
 
 
-class LauncherTime(Message, frozen=True):
+class LauncherTime(ControlMessage, frozen=True):
     """The answer to Clock."""
 
     now_ns: Whole
 
 
-class Content(Message, frozen=True):
+class Content(ControlMessage, frozen=True):
     """The answer to Piece."""
 
     piece: _Content
 
 
-class Nothing(Message, frozen=True):
+class Nothing(ControlMessage, frozen=True):
     """The answer to Written."""
 
 
-def decode_fetch(payload: bytes) -> Join | Clock | Piece:
+def decode_fetch(payload: bytes) -> FilesRequest | Clock | Piece:
     """A node's request to the launcher; raises MessageError."""
-    request: Join | Clock | Piece = codec.converted(codec.unpack(payload, "fetch"), Join | Clock | Piece, "fetch")
+    request: FilesRequest | Clock | Piece = codec.converted(
+        codec.unpack(payload, "fetch"), FilesRequest | Clock | Piece, "fetch"
+    )
     return request
 
 
@@ -117,7 +119,7 @@ MAX_DESCRIPTION_BYTES = 256 << 20
 DESCRIBE, WITHOUT_SCENE = "@description", b"without scene"
 
 
-class Description(Message, frozen=True):
+class Description(ControlMessage, frozen=True):
     """A running run, for an observer without access to the run folder.
 
     run: its id;  scenario: scenario.json;  wiring: the current one, as in wiring.json

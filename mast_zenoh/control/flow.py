@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from mast_zenoh.config.process_steps import ACTIONS
 from mast_zenoh.control import codec
-from mast_zenoh.control.codec import Finite, FrameOrNone, Key, Message, Name, Roles, Text, Whole, encode
+from mast_zenoh.control.codec import ControlMessage, Finite, FrameOrNone, Key, Name, Roles, Text, Whole, encode
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.wiring.model import Wiring
@@ -27,7 +27,7 @@ _Epoch = Annotated[int, Meta(ge=1, lt=MAX_EPOCH)]
 _Names = tuple[Name, ...]
 
 
-class Counts(NamedTuple):
+class MessageCounts(NamedTuple):
     """Numbers of messages that a node has sent and handled in an epoch, by key."""
 
     epoch: _Epoch
@@ -76,13 +76,13 @@ class Rewire(NamedTuple):
 
 
 def encode_counts(epoch: int, sent: Mapping[str, int], handled: Mapping[str, int]) -> bytes:
-    """Encode Counts."""
+    """Encode counts."""
     return encode((epoch, sent, handled))
 
 
-def decode_counts(payload: bytes) -> Counts:
+def decode_counts(payload: bytes) -> MessageCounts:
     """Decode Counts; raises MessageError."""
-    return codec.decode(Counts, payload, "counts")
+    return codec.decode(MessageCounts, payload, "counts")
 
 
 def encode_epoch(number: int, members: Mapping[str, str], update: WiringUpdate | None) -> bytes:
@@ -121,13 +121,13 @@ def decode_drain(payload: bytes) -> str:
     return key
 
 
-class _Rewire(Message, frozen=True):
+class _Rewire(ControlMessage, frozen=True):
     wiring: dict[str, Any]
     join: Roles
     leave: _Names
 
 
-class Rewired(Message, frozen=True):
+class Rewired(ControlMessage, frozen=True):
     """The outcome of a change: the frame that begins with it, or the reason why nothing was changed."""
 
     frame: FrameOrNone = -1
@@ -156,7 +156,7 @@ def decode_rewired(payload: bytes) -> Rewired:
     return codec.decode(Rewired, payload, "rewire")
 
 
-class _WiringParts(Message, frozen=True):
+class _WiringParts(ControlMessage, frozen=True):
     """The parts of a wiring that need checking."""
 
     keys: list[Key]

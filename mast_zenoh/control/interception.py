@@ -8,9 +8,9 @@ import msgspec
 
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.control import codec
-from mast_zenoh.control.codec import Finite, Id, Message, Name, Text, Whole
+from mast_zenoh.control.codec import ControlMessage, Finite, Id, Name, Text, Whole
 from mast_zenoh.control.flow import wiring_of
-from mast_zenoh.wiring.insertion import Place
+from mast_zenoh.wiring.insertion import InsertionPoint
 from mast_zenoh.wiring.model import Wiring
 
 
@@ -22,7 +22,7 @@ class Intercept(NamedTuple):
 
     name: str
     spec: NodeSpec
-    place: Place
+    place: InsertionPoint
     modules: tuple[str, ...]
 
 
@@ -33,7 +33,7 @@ class Release(NamedTuple):
     wire: str | None
 
 
-class _Spec(Message, frozen=True):
+class _Spec(ControlMessage, frozen=True):
     file: Text
     type: Text
     role: Text
@@ -41,7 +41,7 @@ class _Spec(Message, frozen=True):
     on_exit: Text
 
 
-class _Place(Message, frozen=True):
+class _Place(ControlMessage, frozen=True):
     wire: Text
     input: Text
     output: Text
@@ -50,7 +50,7 @@ class _Place(Message, frozen=True):
     before: Text = ""
 
 
-class _InterceptRequest(Message, frozen=True, tag_field="do", tag="intercept"):
+class _InterceptRequest(ControlMessage, frozen=True, tag_field="do", tag="intercept"):
     number: Id
     name: Name
     spec: _Spec
@@ -58,13 +58,13 @@ class _InterceptRequest(Message, frozen=True, tag_field="do", tag="intercept"):
     modules: tuple[Text, ...]
 
 
-class _ReleaseRequest(Message, frozen=True, tag_field="do", tag="release"):
+class _ReleaseRequest(ControlMessage, frozen=True, tag_field="do", tag="release"):
     number: Id
     name: Text | None
     wire: Text | None
 
 
-class _Answer(Message, frozen=True):
+class _Answer(ControlMessage, frozen=True):
     action: Text
     node: Text
     wires: list[Text]
@@ -92,14 +92,14 @@ def answer_of(payload: bytes) -> dict[str, Any]:
     return msgspec.structs.asdict(codec.decode(_Answer, payload, "intercept"))
 
 
-def place_of(value: object) -> Place:
+def place_of(value: object) -> InsertionPoint:
     """The place from its `place_json` form; raises MessageError."""
     place: _Place = codec.converted(value, _Place, "place")
     wires = wiring_of({"wires": place.says, "overhearers": [], "nodes": {}}, "place: says").wires
-    return Place(place.wire, place.input, place.output, place.hears, wires, place.before)
+    return InsertionPoint(place.wire, place.input, place.output, place.hears, wires, place.before)
 
 
-def place_json(place: Place) -> dict[str, Any]:
+def place_json(place: InsertionPoint) -> dict[str, Any]:
     """A place as plain values."""
     data = {"wire": place.wire, "input": place.input, "output": place.output, "hears": dict(place.other_inputs)}
     return data | {"says": Wiring(place.published_wires).to_json()["wires"], "before": place.before}

@@ -20,7 +20,7 @@ MARK = b"MAST"  #: begins the mark of every key
 MARK_BYTES = 12
 
 
-class Attachment(Protocol):
+class ZenohAttachment(Protocol):
     """An attachment as Zenoh passes it."""
 
     def __len__(self) -> int: ...
@@ -41,7 +41,7 @@ def control_mark(key: str) -> bytes:
     return key_mark(f"@control/{key}")
 
 
-def check_control_mark(key_expr: object, attachment: Attachment | None) -> None:
+def check_control_mark(key_expr: object, attachment: ZenohAttachment | None) -> None:
     """Raise MessageError for a message of this testbed that was sent on another key than this control key.
 
     key_expr: the whole key. A message without a mark is from outside the run, and passes.

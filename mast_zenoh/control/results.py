@@ -18,11 +18,11 @@ from mast_zenoh.control import codec
 from mast_zenoh.control.codec import (
     ONE_LINE,
     OTHERS,
+    ControlMessage,
     Finite,
     FrameOrNone,
     Id,
     Line,
-    Message,
     Positive,
     Text,
     Versions,
@@ -86,18 +86,18 @@ _Times = dict[Whole, Whole]
 _PER_KEY = Meta(max_length=4096)  # keys of a run
 
 
-class _Churn(Message, frozen=True):
+class _Churn(ControlMessage, frozen=True):
     frame: Whole
     node: Annotated[str, Meta(max_length=256)]
     what: Literal[LOST, BACK]  # type: ignore[valid-type]
 
 
-class _ClockOffset(Message, frozen=True):
+class _ClockOffset(ControlMessage, frozen=True):
     offset_ms: Annotated[float, Meta(ge=-1e12, le=1e12)]
     round_trip_ms: Annotated[float, Meta(ge=-1e12, le=1e12)]
 
 
-class _Report(Message, frozen=True, kw_only=True):
+class _Report(ControlMessage, frozen=True, kw_only=True):
     """What a node hands in at its end, as runtime.protocol.node makes it."""
 
     results: Any

@@ -78,7 +78,7 @@ def _column(table: object, name: object, values: Any) -> NDArray[Any]:
     return np.fromiter(items if set(map(type, items)) <= {str} else map(str, items), object, len(items))
 
 
-class _Rows:
+class _WaitingRows:
     """The rows of a table that wait for their part.
 
     kinds: type of each column, of its first rows; {} before;  begun: whether a part has been cut off
@@ -148,14 +148,14 @@ class PartedTables:
     def __init__(self) -> None:
         self.hand_in: Callable[[TablePart], None] | None = None
         self._number = 0
-        self._tables: dict[str, _Rows] = {}
+        self._tables: dict[str, _WaitingRows] = {}
 
     def append(self, table: str, columns: Mapping[str, Any]) -> None:
         """Append rows to a table; raises MessageError for an invalid table, or for other columns than before."""
         arrays = checked_columns(table, columns)
         if table not in self._tables and len(self._tables) >= MAX_TABLES:
             raise MessageError(f"table {table}: found more than {MAX_TABLES} tables, expected at most as many")
-        rows = self._tables.setdefault(table, _Rows())
+        rows = self._tables.setdefault(table, _WaitingRows())
         try:
             rows.add(arrays)
         except MessageError as error:

@@ -18,7 +18,7 @@ from mast_zenoh.driving.contact import collisions, post_encroachment_s
 from mast_zenoh.driving.corridor import InCorridor, crossing, in_corridor, needed_braking
 from mast_zenoh.driving.followers import behind_car
 from mast_zenoh.driving.motion import RouteAhead
-from mast_zenoh.metrics.driving import STANDING_MPS, Driving, RoadUsers, SafeDistance, Vehicle
+from mast_zenoh.metrics.driving import STANDING_MPS, Driving, RoadUsers, SafeDistance, VehicleCourse
 
 #: s and m/s^2: below this time to collision, and above this braking that avoids it, an encounter is a near miss.
 #: Source: thresholds of TTC and DRAC of SUMO's device "ssm". There, either is a conflict; an ordinary stop behind
@@ -47,7 +47,7 @@ class DrivenCar:
     on_truth:   (f,) m/s^2, braking that its driver would command on the truth, NaN: not known; None: never
     """
 
-    car: Vehicle
+    car: VehicleCourse
     objects: RoadUsers
     ids: Ints
     seen: Bools
@@ -324,7 +324,7 @@ def _waits(driven: DrivenCar, truth: InCorridor) -> Bools:
     return near
 
 
-def uncomfortable_s(car: Vehicle, period_s: float) -> dict[str, float]:
+def uncomfortable_s(car: VehicleCourse, period_s: float) -> dict[str, float]:
     """Time in s during which a car was outside each of the bounds of COMFORT.
 
     Accelerations are those of the velocity from frame to frame. Their derivatives are smoothed over 1.5 s by a

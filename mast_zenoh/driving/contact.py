@@ -7,7 +7,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.rectangles import overlapping
 from mast_zenoh.arrays.states import Ints
-from mast_zenoh.metrics.driving import RoadUsers, Vehicle
+from mast_zenoh.metrics.driving import RoadUsers, VehicleCourse
 
 #: s; a longer time between two that use the same place is no encounter.
 _LONGEST_S = 5.0
@@ -15,12 +15,12 @@ _LONGEST_S = 5.0
 _CROSSING = np.deg2rad(30.0)
 
 
-def collisions(car: Vehicle, objects: RoadUsers) -> Ints:
+def collisions(car: VehicleCourse, objects: RoadUsers) -> Ints:
     """Rows (k,) of the n objects whose outlines overlap that of the car in the same frame, ascending."""
     return _overlapping(car, objects, np.arange(len(objects.frame)), objects.frame)
 
 
-def post_encroachment_s(car: Vehicle, objects: RoadUsers, period_s: float) -> float | None:
+def post_encroachment_s(car: VehicleCourse, objects: RoadUsers, period_s: float) -> float | None:
     """The shortest post-encroachment time of a car and the objects that cross its way, s; None: above 5 s.
 
     It is the time between the last moment at which one of the two is at a place, and the first at which the other is;
@@ -41,7 +41,7 @@ def post_encroachment_s(car: Vehicle, objects: RoadUsers, period_s: float) -> fl
     return None
 
 
-def _overlapping(car: Vehicle, objects: RoadUsers, rows: Ints, at: Ints) -> Ints:
+def _overlapping(car: VehicleCourse, objects: RoadUsers, rows: Ints, at: Ints) -> Ints:
     """Of (k,) rows of objects, those whose outlines overlap that of the car in its frames `at` (k,)."""
     offset = objects.position[rows, :2] - car.position[at, :2]
     own = np.broadcast_to([car.length, car.width], offset.shape)

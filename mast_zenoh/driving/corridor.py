@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import along_and_across
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.driving.motion import RouteAhead
-from mast_zenoh.metrics.driving import STANDING_MPS, Driving, RoadUsers, Vehicle
+from mast_zenoh.metrics.driving import STANDING_MPS, Driving, RoadUsers, VehicleCourse
 
 #: s; what comes into the corridor later crosses too late to matter, as for ProposalDriver; and s between two looks.
 CROSSING_S, _LOOK_S = 4.0, 0.2
@@ -19,14 +19,14 @@ CROSSING_S, _LOOK_S = 4.0, 0.2
 _AFTER_S = 1.5
 
 
-def along_route(position: Floats, velocity: Floats, heading: float, size: Floats, route: RouteAhead) -> Vehicle:
+def along_route(position: Floats, velocity: Floats, heading: float, size: Floats, route: RouteAhead) -> VehicleCourse:
     """A car now, and then along its route: the corridor in which its driver looks for objects.
 
     position: (3,) m, velocity: (3,) m/s, heading: rad, of the car; size: (2,) m, its length and width
     """
     place = np.concatenate([position[None, :2], route.position[1:]])
     step = np.diff(place, axis=0)
-    return Vehicle(
+    return VehicleCourse(
         np.column_stack([place, np.full(len(place), position[2])]),
         np.tile(velocity, (len(place), 1)),
         np.concatenate([[heading], np.arctan2(step[:, 1], step[:, 0])]),
@@ -50,7 +50,7 @@ class InCorridor(NamedTuple):
     ttc_s: Floats
 
 
-def in_corridor(car: Vehicle, routes: Mapping[int, RouteAhead], objects: RoadUsers, look: Driving) -> InCorridor:
+def in_corridor(car: VehicleCourse, routes: Mapping[int, RouteAhead], objects: RoadUsers, look: Driving) -> InCorridor:
     """What is ahead of a car in each of f frames, along the route of that frame.
 
     routes: by row of the car's frames; a frame without one has no corridor
@@ -65,7 +65,7 @@ def in_corridor(car: Vehicle, routes: Mapping[int, RouteAhead], objects: RoadUse
     return _joined(parts)
 
 
-def crossing(car: Vehicle, routes: Mapping[int, RouteAhead], objects: RoadUsers, look: Driving) -> InCorridor:
+def crossing(car: VehicleCourse, routes: Mapping[int, RouteAhead], objects: RoadUsers, look: Driving) -> InCorridor:
     """What comes into the corridor of a car while the car gets there, both at constant velocity, in each of f frames.
 
     What is in the corridor already, or follows the car, is not among these. `gap_m` is to where it comes in (at the
@@ -104,8 +104,8 @@ def _joined(parts: Iterable[InCorridor]) -> InCorridor:
 
 
 def _frames(
-    car: Vehicle, routes: Mapping[int, RouteAhead], objects: RoadUsers
-) -> Iterator[tuple[int, Vehicle, int, RoadUsers]]:
+    car: VehicleCourse, routes: Mapping[int, RouteAhead], objects: RoadUsers
+) -> Iterator[tuple[int, VehicleCourse, int, RoadUsers]]:
     """Yield each frame with a route and objects: its row, the car along its route, and the objects and their first row.
 
     The frames of the objects are 0: they are there now.
@@ -120,7 +120,7 @@ def _frames(
             yield frame, now, here.start, present._replace(frame=np.zeros_like(present.frame))
 
 
-def _could_cross(now: Vehicle, objects: RoadUsers, look: Driving) -> Bools:
+def _could_cross(now: VehicleCourse, objects: RoadUsers, look: Driving) -> Bools:
     """Whether each of n objects (n,) moves, is not too far away, and does not follow the car in its lane."""
     offset = objects.position[:, :2] - now.position[0, :2]
     speed = np.hypot(objects.velocity[:, 0], objects.velocity[:, 1])

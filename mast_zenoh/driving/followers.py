@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.driving.braking import Brake, brakes_of, spans
-from mast_zenoh.metrics.driving import STANDING_MPS, RoadUsers, Vehicle
+from mast_zenoh.metrics.driving import STANDING_MPS, RoadUsers, VehicleCourse
 
 #: m behind the car; half of the width of a lane, m; and rad, greatest angle to the way that the car drove.
 _BEHIND_M, _HALF_LANE_M, _TURN = 100.0, 1.75, np.deg2rad(30.0)
@@ -25,7 +25,7 @@ class Onset(NamedTuple):
     along_m: float
 
 
-def behind(car: Vehicle, objects: RoadUsers) -> Floats:
+def behind(car: VehicleCourse, objects: RoadUsers) -> Floats:
     """How far behind the car, in its lane, each of n objects is, between the centres: (n,) m; inf: it is not.
 
     The lane behind it is the way that it drove until the object's frame, and straight back before its first frame. An
@@ -72,7 +72,7 @@ def _on_way(parts: _Parts, along_m: float, half_m: float, objects: RoadUsers, ro
 
 
 def behind_car(
-    car: Vehicle, objects: RoadUsers, ids: Ints, period_s: float, hard_mps2: float, brakes: Sequence[Brake]
+    car: VehicleCourse, objects: RoadUsers, ids: Ints, period_s: float, hard_mps2: float, brakes: Sequence[Brake]
 ) -> dict[str, Any]:
     """The traffic behind a car, "behind" of metrics.json: see docs/driving.md. brakes: of the car"""
     to_car = behind(car, objects)

@@ -11,6 +11,6 @@ See docs/effects.md.
 """
 
 from mast_zenoh.effects.passages import MESSAGE_EFFECTS, Meter
-from mast_zenoh.effects.table import CODE, EFFECTS, Effects, Pose, Poses, effects_of
+from mast_zenoh.effects.table import CODE, EFFECTS, Effects, Poses, ReportedPose, effects_of
 
-__all__ = ["CODE", "EFFECTS", "MESSAGE_EFFECTS", "Effects", "Meter", "Pose", "Poses", "effects_of"]
+__all__ = ["CODE", "EFFECTS", "MESSAGE_EFFECTS", "Effects", "Meter", "Poses", "ReportedPose", "effects_of"]

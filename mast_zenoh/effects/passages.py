@@ -16,7 +16,7 @@ from mast_zenoh.effects.rows import ChangedMessage, ObjectChanges
 from mast_zenoh.errors import MessageError
 from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.messages.schemas import same_columns
-from mast_zenoh.wiring.model import Passage, Wiring
+from mast_zenoh.wiring.model import InterposedWire, Wiring
 from mast_zenoh.wiring.received import Overheard
 
 #: Effects on whole messages.
@@ -57,7 +57,7 @@ class MessageEffect(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Interval:
+class FrameSpan:
     """The frames in which a passage is part of the wiring.
 
     From `begin`, before `end` (None: to the end of the run).
@@ -296,7 +296,7 @@ class PassageMeter:
     effects: the measured effects; received: number of received messages
     """
 
-    def __init__(self, passage: Passage, interval: Interval, latest: int = LATEST) -> None:
+    def __init__(self, passage: InterposedWire, interval: FrameSpan, latest: int = LATEST) -> None:
         self.passage = passage
         self.latest = latest
         self.interval = interval
@@ -527,7 +527,7 @@ class Meter:
     def __init__(self) -> None:
         self._latest = LATEST
         self._meters: list[PassageMeter] = []
-        self._active: dict[Passage, PassageMeter] = {}
+        self._active: dict[InterposedWire, PassageMeter] = {}
         self._into: dict[str, list[PassageMeter]] = {}
         self._out_of: dict[str, list[PassageMeter]] = {}
 
@@ -548,7 +548,7 @@ class Meter:
             meter.interval = replace(meter.interval, end=first_step)
         for passage in now:
             if passage not in self._active:
-                meter = PassageMeter(passage, Interval(first_step), self._latest)
+                meter = PassageMeter(passage, FrameSpan(first_step), self._latest)
                 self._active[passage] = meter
                 self._meters.append(meter)
                 self._into.setdefault(passage.received, []).append(meter)

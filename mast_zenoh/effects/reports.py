@@ -17,7 +17,7 @@ from mast_zenoh.effects.table import CODE, EFFECTS, Effects
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.boxes import Places, find, occurs, pairs_within
 from mast_zenoh.metrics.manipulations import KINDS
-from mast_zenoh.wiring.model import Passage
+from mast_zenoh.wiring.model import InterposedWire
 
 #: m, maximum distance between the position in a report and the effect's position on the wire.
 SAME_PLACE_M = 0.05
@@ -255,7 +255,7 @@ def add_counts(
 
 
 def summary(
-    counts: Mapping[str, ReportCounts], passages: Sequence[tuple[Passage, int]], roles: Mapping[str, str]
+    counts: Mapping[str, ReportCounts], passages: Sequence[tuple[InterposedWire, int]], roles: Mapping[str, str]
 ) -> dict[str, Any]:
     """Summarise each interposer and the agreement of its reports.
 

@@ -18,7 +18,7 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.effects.passages import MESSAGE_EFFECTS, PassageMeter
 from mast_zenoh.effects.rows import UNCHANGED
 from mast_zenoh.metrics.manipulations import KINDS, MOVED
-from mast_zenoh.wiring.model import Passage, agent_of
+from mast_zenoh.wiring.model import InterposedWire, agent_of
 
 #: All effects, by their code in `Effects`: on objects, then on whole messages.
 EFFECTS = KINDS + MESSAGE_EFFECTS
@@ -28,7 +28,7 @@ CODE = {name: code for code, name in enumerate(EFFECTS)}
 MIN_MOVE_M = 1e-6
 
 
-class Pose(NamedTuple):
+class ReportedPose(NamedTuple):
     """Pose of an agent.
 
     position (3,) m; rotation (4,): active quaternion w x y z, agent to world
@@ -38,10 +38,10 @@ class Pose(NamedTuple):
     rotation: Floats
 
 
-_UNKNOWN_POSE = Pose(np.full(3, np.nan), np.array([1.0, 0.0, 0.0, 0.0]))
+_UNKNOWN_POSE = ReportedPose(np.full(3, np.nan), np.array([1.0, 0.0, 0.0, 0.0]))
 
 #: Poses by agent and frame.
-Poses = Mapping[tuple[str, int], Pose]
+Poses = Mapping[tuple[str, int], ReportedPose]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Effects:
     columns:  (n,) str, names of the columns that were changed, separated by spaces
     """
 
-    passages: tuple[Passage, ...]
+    passages: tuple[InterposedWire, ...]
     received: tuple[int, ...]
     passage: Ints
     code: Ints

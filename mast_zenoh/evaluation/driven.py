@@ -23,7 +23,7 @@ from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import clear_in_view
 from mast_zenoh.metrics import Driving, Scores
 from mast_zenoh.metrics.boxes import Places, find, nearest
-from mast_zenoh.metrics.causes import ATTACK_CAUSES, Hidden, Labels, joined_names
+from mast_zenoh.metrics.causes import ATTACK_CAUSES, CauseLabels, Hidden, joined_names
 from mast_zenoh.metrics.driving import RoadUsers, vehicles
 from mast_zenoh.metrics.estimates import TRUTH
 from mast_zenoh.metrics.manipulations import ALTERED, MOVED, Manipulations
@@ -40,7 +40,7 @@ _UNCHANGED, _WITHHELD = ("repeated", "unsettled"), ("delayed", "dropped")
 _SAME_MPS2 = 0.3
 
 
-class Arrival(NamedTuple):
+class ArrivedEstimate(NamedTuple):
     """An estimate as a driver received it.
 
     about: the frame that it describes; time_ns: ns, of that frame; estimate: its name among those that are scored
@@ -52,7 +52,7 @@ class Arrival(NamedTuple):
     objects: Snapshot
 
 
-class View(NamedTuple):
+class OwnView(NamedTuple):
     """What an agent's own sensor sees, as its driver received it; about, time_ns: as of an estimate."""
 
     about: int
@@ -60,7 +60,7 @@ class View(NamedTuple):
     view: SweptView
 
 
-Item = TypeVar("Item", Arrival, View)
+Item = TypeVar("Item", ArrivedEstimate, OwnView)
 
 
 @dataclass
@@ -76,19 +76,19 @@ class Heard:
     """
 
     ports: set[str] = field(default_factory=set)
-    estimates: dict[str, dict[int, Arrival]] = field(default_factory=lambda: defaultdict(dict))
-    views: dict[int, View] = field(default_factory=dict)
+    estimates: dict[str, dict[int, ArrivedEstimate]] = field(default_factory=lambda: defaultdict(dict))
+    views: dict[int, OwnView] = field(default_factory=dict)
     routes: dict[int, RouteAhead] = field(default_factory=dict)
     commands: list[tuple[int, int, Command]] = field(default_factory=list)
     wanted: dict[int, float] = field(default_factory=dict)
     left_out: set[str] = field(default_factory=set)
     on_truth: DriverOnTruth | None = None
 
-    def add(self, port: str, step: int, arrival: Arrival) -> None:
+    def add(self, port: str, step: int, arrival: ArrivedEstimate) -> None:
         """Store an estimate that arrived in a frame of the run; of several the newest counts, as for the driver."""
         _keep_newest(self.estimates[port], step, arrival)
 
-    def see(self, step: int, view: View) -> None:
+    def see(self, step: int, view: OwnView) -> None:
         """Store a view that arrived in a frame of the run, as estimates are."""
         _keep_newest(self.views, step, view)
 
@@ -160,7 +160,7 @@ class DrivenCars:
 
     record: Record
     scores: Scores
-    labels: Labels
+    labels: CauseLabels
     effects: Effects
     manipulations: Manipulations
     roles: Mapping[str, str]
@@ -233,7 +233,7 @@ class DrivenCars:
         moved = RoadUsers(np.concatenate(frame), np.concatenate(position), objects.velocity, objects.size, objects.yaw)
         return _Believed(moved, self._belief(objects, np.concatenate(about), np.concatenate(series)), informed)
 
-    def _used(self, car: str, heard: Heard) -> Iterator[tuple[int, list[tuple[Arrival, Floats, Bools]]]]:
+    def _used(self, car: str, heard: Heard) -> Iterator[tuple[int, list[tuple[ArrivedEstimate, Floats, Bools]]]]:
         """Yield (row, estimates) for each frame in which the driver of a car had estimates to drive by.
 
         Of each estimate, where its n objects are at the time of the frame, (n, 3) m, and which of them count, (n,):
@@ -370,7 +370,7 @@ class DrivenCars:
         return result
 
 
-def _free(objects: Snapshot, position: Floats, view: tuple[View, float] | None) -> Bools:
+def _free(objects: Snapshot, position: Floats, view: tuple[OwnView, float] | None) -> Bools:
     """Whether a view and its age show that the places of n objects are free, (n,), as the driver asks.
 
     position: (n, 3) m, of the objects at the time of the frame; None: the driver had no view

@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.metrics.estimates import LOCAL, PICTURE, PICTURE_ON_ARRIVAL, PICTURE_RECEIVED, RECEIVED
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.wiring.influence import Influence
-from mast_zenoh.wiring.model import SENSOR, UP, Passage, Wire, Wiring, agent_of
+from mast_zenoh.wiring.model import SENSOR, UP, InterposedWire, Wire, Wiring, agent_of
 
 #: Types of messages with an agent's own tracks, alone or among those of others.
 TRACKS = ("tracks", "collated")
@@ -154,11 +154,13 @@ class Influences:
         """Use a wiring from now on; wires that it does not have are as before."""
         self._of_wire |= dict.fromkeys((wire.key for wire in wiring.wires), EstimateWires(wiring, self._agents))
 
-    def of(self, passage: Passage) -> EstimateWires | None:
+    def of(self, passage: InterposedWire) -> EstimateWires | None:
         """What is known of the wire of a passage; None: nothing, so its messages can affect nothing."""
         return self._of_wire.get(passage.wire)
 
-    def reach(self, passages: Sequence[Passage], series: Sequence[tuple[str, str]], alone: Bools) -> tuple[Bools, Ints]:
+    def reach(
+        self, passages: Sequence[InterposedWire], series: Sequence[tuple[str, str]], alone: Bools
+    ) -> tuple[Bools, Ints]:
         """Whether messages of p passages can affect s estimates, and after how many frames: (p, s).
 
         alone: (p,) passages of which only those effects count that come before the messages are fused with what others

@@ -40,7 +40,7 @@ from mast_zenoh.metrics import (
     cause_names,
 )
 from mast_zenoh.metrics.attributor import Withheld
-from mast_zenoh.metrics.causes import ATTACK_CAUSES, Labels
+from mast_zenoh.metrics.causes import ATTACK_CAUSES, CauseLabels
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.manipulations import INSERTED
 from mast_zenoh.metrics.measures import check, per_frame
@@ -125,7 +125,7 @@ class Evaluation:
                 raise ValueError(f"picture_age_s: found {age_s}, expected 0 or more")
         check(self.metrics)
 
-    def assessed(self, data: RunData, frames: Ints, earlier: Earlier, until: float = np.inf) -> Assessment:
+    def assessed(self, data: RunData, frames: Ints, earlier: Earlier, until: float = np.inf) -> ScoredFrames:
         """Score frames (f,), and attribute their errors.
 
         until: effects on messages that interposers received from this frame of the run on do not count
@@ -169,7 +169,7 @@ class Evaluation:
                 for agent in own_pictures(data)
             },
         )
-        return Assessment(data, scores, effects, from_absence, interposed, attributor.labels())
+        return ScoredFrames(data, scores, effects, from_absence, interposed, attributor.labels())
 
     def frame_tables(self, data: RunData) -> dict[str, Any]:
         """Evaluate frames without summarising them, for a view of a running run.
@@ -276,7 +276,7 @@ def by_agent(same_as: Mapping[tuple[str, str], tuple[str, str]]) -> dict[str, di
 
 
 @dataclass(frozen=True, slots=True)
-class Assessment:
+class ScoredFrames:
     """The scores of some frames, and the causes of their errors.
 
     from_absence: (n,) effects that are due to the absence of an interposer
@@ -287,7 +287,7 @@ class Assessment:
     effects: Effects
     from_absence: Bools
     manipulations: Manipulations
-    labels: Labels
+    labels: CauseLabels
 
     @property
     def blamed(self) -> Bools:

@@ -19,7 +19,7 @@ from mast_zenoh.metrics.boxes import Places, nearest, occurs
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.manipulations import ALTERED, COLUMNS, INSERTED, KINDS, MOVED, REMOVED
 from mast_zenoh.metrics.record import TruthTable
-from mast_zenoh.wiring.model import Passage, agent_of
+from mast_zenoh.wiring.model import InterposedWire, agent_of
 
 #: Columns that say nothing of where an object is, or will be.
 _OF_BOX = {"size", "yaw", "class_id"}
@@ -99,7 +99,7 @@ def manipulations(
     return result.select(~away[rows])
 
 
-def _lasts(passage: Passage, is_link: bool, limits: AttributionLimits, period_s: float) -> int:
+def _lasts(passage: InterposedWire, is_link: bool, limits: AttributionLimits, period_s: float) -> int:
     """Number of frames after its own for which a manipulation counts.
 
     Effects of links on tracks count only in their own frame; missing objects in the picture: `metrics.cut_off`.

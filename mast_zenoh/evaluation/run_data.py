@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mast_zenoh.effects import Meter, Pose
+from mast_zenoh.effects import Meter, ReportedPose
 from mast_zenoh.evaluation.driven import Heard
 from mast_zenoh.evaluation.estimate_wires import Influences
 from mast_zenoh.messages.schemas import Body
@@ -42,7 +42,7 @@ class RunData:
     roles: dict[str, str] = field(default_factory=dict)
     presence: Presence = field(default_factory=Presence)
     times_ns: dict[int, int] = field(default_factory=dict)
-    poses: dict[tuple[str, int], Pose] = field(default_factory=dict)
+    poses: dict[tuple[str, int], ReportedPose] = field(default_factory=dict)
     picture_sent: dict[int, int] = field(default_factory=dict)
     tracks_sent: dict[tuple[str, int], int] = field(default_factory=dict)
     attack_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)

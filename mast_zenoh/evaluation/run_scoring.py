@@ -22,13 +22,13 @@ from mast_zenoh.effects import reports
 from mast_zenoh.effects.reports import ReportCounts
 from mast_zenoh.evaluation import trust
 from mast_zenoh.evaluation.driven import DrivenCars
-from mast_zenoh.evaluation.evaluation import Assessment, Earlier, Evaluation, by_agent, own_pictures
+from mast_zenoh.evaluation.evaluation import Earlier, Evaluation, ScoredFrames, by_agent, own_pictures
 from mast_zenoh.evaluation.from_effects import first_change
 from mast_zenoh.evaluation.run_data import RunData
 from mast_zenoh.metrics import FrameMetric, MessageMetric, RunMetric, Table, achievement, causes_of, driving
-from mast_zenoh.metrics.achievement import Targets
+from mast_zenoh.metrics.achievement import Manipulated
 from mast_zenoh.metrics.causes import CauseCounts, cause_counts
-from mast_zenoh.metrics.consistency import Deviations, counts, deviations
+from mast_zenoh.metrics.consistency import PairDeviations, counts, deviations
 from mast_zenoh.metrics.driving import Drive
 from mast_zenoh.metrics.judged_estimate import Estimate, EstimateColumns, estimates_of
 from mast_zenoh.metrics.measures import MEASURES, ScoredRun, frame_keys, measured
@@ -75,11 +75,11 @@ class Block:
     ranked: list[dict[str, Any]]
     objects: Ints
     causes: CauseCounts
-    deviations: Mapping[Name, Deviations]
+    deviations: Mapping[Name, PairDeviations]
     truth_ids: Ints
     own: Mapping[str, Floats | BaseException]
     estimates: list[EstimateColumns]
-    targets: Targets
+    targets: Manipulated
     switched: Mapping[str, Sequence[str]]
     drives: Mapping[Name, Drive]
     driven: Mapping[str, DrivenCar]
@@ -150,7 +150,7 @@ class RunScoring:
     def _frames(self, duration_s: float) -> int:
         return math.ceil(duration_s / self.data.period_s)
 
-    def _assessed(self, until: float) -> Assessment:
+    def _assessed(self, until: float) -> ScoredFrames:
         frames = self.data.record.frames()
         return self.settings.assessed(self.data, frames[frames < until], self._earlier, until)
 
@@ -158,7 +158,7 @@ class RunScoring:
     def _n_frames(self) -> int:
         return sum(len(block.scores.frames) for block in self._blocks)
 
-    def _add(self, assessment: Assessment, first: float, end: float) -> dict[str, Table]:
+    def _add(self, assessment: ScoredFrames, first: float, end: float) -> dict[str, Table]:
         """Add the block of the frames from `first` on, before `end`; returns its rows of tables."""
         data, settings, scores, labels = self.data, self.settings, assessment.scores, assessment.labels
         agents, ego, min_points = data.record.agents, data.ego, settings.scorer.min_points
@@ -231,7 +231,7 @@ class RunScoring:
             ]
         return tables
 
-    def _of_users(self, assessment: Assessment, rows: slice, counted: Bools) -> dict[str, Any]:
+    def _of_users(self, assessment: ScoredFrames, rows: slice, counted: Bools) -> dict[str, Any]:
         """What a block keeps for users' metrics; counted: (f,) the frames that count in summaries."""
         scores, labels, metrics = assessment.scores, assessment.labels, self.settings.metrics
         own: dict[str, Floats | BaseException] = {}
@@ -249,7 +249,7 @@ class RunScoring:
             estimates = [EstimateColumns.of(row, scores, labels, counted, rows) for row in range(len(scores.series))]
         return {"own": own, "estimates": estimates}
 
-    def _driven(self, assessment: Assessment) -> DrivenCars:
+    def _driven(self, assessment: ScoredFrames) -> DrivenCars:
         """The cars that drivers drove."""
         data, settings = self.data, self.settings
         return DrivenCars(
@@ -274,7 +274,7 @@ class RunScoring:
     def _take_over(self) -> int:
         return round(self.settings.take_over_s / self.data.period_s)
 
-    def _victims(self, assessment: Assessment) -> dict[str, set[int]]:
+    def _victims(self, assessment: ScoredFrames) -> dict[str, set[int]]:
         """By interposer, the columns of the agents whose wires it intercepts."""
         agents = list(self.data.record.agents)
         victims: dict[str, set[int]] = {}
@@ -297,7 +297,7 @@ class RunScoring:
         joined = Joined(self._blocks, settings)
         scores, scored = joined.scores, settings.scored(self._n_frames)
         frames, times = scores.frames, data.times_ns
-        targets = Targets.joined([block.targets for block in self._blocks])
+        targets = Manipulated.joined([block.targets for block in self._blocks])
         switched = {
             name: [by for block in self._blocks for by in block.switched[name]] for name in self._blocks[-1].switched
         }
@@ -487,14 +487,14 @@ class Joined:
             for error in self._blocks[0].causes
         }
 
-    def deviations(self) -> dict[Name, Deviations]:
+    def deviations(self) -> dict[Name, PairDeviations]:
         """By series, those of every frame that is compared."""
         result = {}
         for name in self.names:
             of_blocks = [(block, block.scores.series[row]) for block, row in self.of_name(name)]
             parts = [block.deviations[twin] for block, twin in of_blocks if twin in block.deviations]
             if parts:
-                result[name] = Deviations.joined(parts)
+                result[name] = PairDeviations.joined(parts)
         return result
 
     def drives(self) -> dict[Name, Drive]:

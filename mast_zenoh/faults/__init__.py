@@ -34,7 +34,7 @@ from mast_zenoh.faults.base import (
     SlowNode,
     Unplug,
 )
-from mast_zenoh.faults.plan import Plan, plan
+from mast_zenoh.faults.plan import FaultPlan, plan
 from mast_zenoh.faults.schedule import random_schedule
 
 __all__ = [
@@ -46,6 +46,7 @@ __all__ = [
     "Delay",
     "Duplicate",
     "Fault",
+    "FaultPlan",
     "Flood",
     "GhostDetections",
     "Impair",
@@ -56,7 +57,6 @@ __all__ = [
     "Loss",
     "Partition",
     "Pause",
-    "Plan",
     "ProcessFault",
     "ProcessStep",
     "Reorder",

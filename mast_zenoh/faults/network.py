@@ -46,7 +46,7 @@ class _InRange:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Host(_InRange):
+class ScenarioHost(_InRange):
     """A host as in a scenario. delay_by: what can delay its link"""
 
     nodes: list[str]
@@ -182,7 +182,7 @@ def resolve(
         where = f"{place}: hosts.{name}"
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise ConfigurationError(f"{place}: hosts: found the name {name!r}, expected letters, digits, _ and -")
-        host: Host = registry.construct(Host, registry.built(spec, Mapping, where), where)
+        host: ScenarioHost = registry.construct(ScenarioHost, registry.built(spec, Mapping, where), where)
         resolved[name] = vars(host) | {"delayed": bool(host.delay_ms or host.jitter_ms)}  # whether it ever delays
         for node in _claimed(host.nodes, known, where):
             if home.setdefault(node, name) != name:

@@ -37,7 +37,7 @@ Carriers = Mapping[str, Sequence[tuple[str, str]]]
 
 
 @dataclass
-class Plan:
+class FaultPlan:
     """The effects of a run's faults.
 
     rules: by link (its agent, or the key of its wire) and direction (or SENSOR, SENSOR/name), its rules with their
@@ -68,7 +68,7 @@ def plan(
     *,
     lockstep: bool,
     carriers: Callable[[], Carriers] = dict,
-) -> Plan:
+) -> FaultPlan:
     """Convert a list of faults to a plan.
 
     faults: (place in the scenario, fault), in the order of the scenario
@@ -79,7 +79,7 @@ def plan(
     Raises ConfigurationError for unknown or invalid targets, for impossible actions on a process (killed while it is
     down, two actions in the same frame), and in lock-step for faults that need real time.
     """
-    result = Plan()
+    result = FaultPlan()
     actions: dict[str, list[_Action]] = defaultdict(list)
     for index, (place, fault) in enumerate(faults):
         if not fault.selectors:  # an empty list: of nothing

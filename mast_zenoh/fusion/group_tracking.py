@@ -26,7 +26,7 @@ _MOTION = np.array([0, 1, 6, 7])
 _DORMANT_NS = 10_000_000_000
 
 
-class _Known(NamedTuple):
+class _GroupedObject(NamedTuple):
     """An object of the tracker."""
 
     output_id: int
@@ -60,7 +60,7 @@ class ReturningObjects:
     def reset(self) -> None:
         self._tracker_ids, self._output_ids = np.zeros(0, np.int64), np.zeros(0, np.int64)  # of the last picture
         self._picture, self._time_ns = ObjectStates.empty(), 0
-        self._known: dict[int, _Known] = {}  # by tracker id
+        self._known: dict[int, _GroupedObject] = {}  # by tracker id
         self._lost: dict[int, _Lost] = {}  # by output id
 
     def ids_for(self, time_ns: int, picture: ObjectStates) -> Ints:
@@ -75,7 +75,7 @@ class ReturningObjects:
         """The ids where objects came or went."""
         tracker_ids, before = picture.id.tolist(), self._output_ids.tolist()
         for tracker_id, output_id in zip(self._tracker_ids.tolist(), before, strict=True):
-            self._known[tracker_id] = _Known(output_id, self._time_ns)
+            self._known[tracker_id] = _GroupedObject(output_id, self._time_ns)
         self._known = {key: known for key, known in self._known.items() if time_ns - known.last_seen_ns <= _DORMANT_NS}
         new = [row for row, tracker_id in enumerate(tracker_ids) if tracker_id not in self._known]
         kept = {

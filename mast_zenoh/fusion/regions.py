@@ -12,7 +12,7 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats
 
 
-class Region(ABC):
+class ServedArea(ABC):
     """An area of the ground."""
 
     follows: ClassVar[bool] = False  #: whether it must be told where its agent is
@@ -26,7 +26,7 @@ class Region(ABC):
 
 
 @dataclass
-class Rectangle(Region):
+class Rectangle(ServedArea):
     """All that is between two lines from north to south, and two from west to east.
 
     x_min_m, x_max_m, y_min_m, y_max_m: m, world frame; None: without limit on that side. The upper limits are outside,
@@ -52,7 +52,7 @@ class Rectangle(Region):
 
 
 @dataclass
-class Around(Region):
+class Around(ServedArea):
     """A circle around the agent that carries the centre; empty until its pose is known.
 
     radius_m: m

@@ -35,7 +35,7 @@ from mast_zenoh.scenes.recording import Recording
 #: Requests of one node in the queue; it sends one at a time, and repeats it after five seconds.
 MAX_WAITING = 16
 
-Request = files.Join | files.Clock | files.Piece | files.Written
+Request = files.FilesRequest | files.Clock | files.Piece | files.Written
 
 
 class FileServer:
@@ -130,10 +130,12 @@ class FileServer:
             query.reply_err(files.encode_refusal(refusal))
             query.drop()
 
-    def _answer(self, node: str, request: files.Join | files.Clock | files.Piece, received_ns: int) -> dict[str, Any]:
+    def _answer(
+        self, node: str, request: files.FilesRequest | files.Clock | files.Piece, received_ns: int
+    ) -> dict[str, Any]:
         if isinstance(request, files.Clock):
             return {"now_ns": received_ns}
-        if isinstance(request, files.Join):
+        if isinstance(request, files.FilesRequest):
             return self._admit(node, request)
         content = self._contents.get(node, {}).get(request.path)
         if content is None:
@@ -144,7 +146,7 @@ class FileServer:
             file.seek(request.offset)
             return {"piece": file.read(PIECE_BYTES)}
 
-    def _admit(self, node: str, request: files.Join) -> dict[str, Any]:
+    def _admit(self, node: str, request: files.FilesRequest) -> dict[str, Any]:
         own_version, node_version = version.version_string(), request.version
         if node_version != own_version:
             error = VersionMismatch(

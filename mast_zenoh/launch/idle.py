@@ -45,7 +45,7 @@ def idle_parts(
     """
     if not frames:
         return []
-    run = _Played(resolved, frames, handed_in, folder)
+    run = _EndedRun(resolved, frames, handed_in, folder)
     sentences = [*resolved.idle, *_adversaries(run), *_coordinators(run), *_defences(run)]
     sentences += [*_vetoes(run), *_links(run), *_faults(run), *_sensors(run), *_agents(run), *_metrics(run)]
     return [{"kind": "idle", "count": 1, "text": text} for text in dict.fromkeys(sentences)]
@@ -55,12 +55,12 @@ def idle_metrics(
     resolved: Resolved, frames: int, handed_in: Mapping[str, Mapping[str, Any]], folder: Path
 ) -> list[dict[str, Any]]:
     """The notices of a replay: of its metrics alone, as all else was played."""
-    sentences = _metrics(_Played(resolved, frames, handed_in, folder))
+    sentences = _metrics(_EndedRun(resolved, frames, handed_in, folder))
     return [{"kind": "idle", "count": 1, "text": text} for text in sentences]
 
 
 @dataclass(frozen=True)
-class _Played:
+class _EndedRun:
     """A run that is over."""
 
     resolved: Resolved
@@ -105,7 +105,7 @@ class _Played:
                 yield from table.parts(columns)
 
 
-def _adversaries(run: _Played) -> Iterator[str]:
+def _adversaries(run: _EndedRun) -> Iterator[str]:
     """Adversaries on no wire, and those that changed no message."""
     starts = {name: start for (_, start), names in attack_starts(run.resolved.nodes).items() for name in names}
     for name, spec in run.of_role("adversary").items():
@@ -128,7 +128,7 @@ def _adversaries(run: _Played) -> Iterator[str]:
             yield f"{where} changed no message{f': {reason}' if reason else ''}"
 
 
-def _why_unchanged(run: _Played, name: str, kind: str, start_s: float | None) -> str:
+def _why_unchanged(run: _EndedRun, name: str, kind: str, start_s: float | None) -> str:
     """Why an adversary changed nothing, as far as that is known."""
     begins = [] if start_s is None else [start_s]
     if kind == DIRECTED:
@@ -145,7 +145,7 @@ def _why_unchanged(run: _Played, name: str, kind: str, start_s: float | None) ->
     return "by its own count it found no target" if chosen and not any(chosen) else ""
 
 
-def _coordinators(run: _Played) -> Iterator[str]:
+def _coordinators(run: _EndedRun) -> Iterator[str]:
     """Coordinators to which no adversary reports, or that direct none."""
     adversaries = run.of_role("adversary")
     for name in run.of_role("coordinator"):
@@ -157,7 +157,7 @@ def _coordinators(run: _Played) -> Iterator[str]:
             yield f"{name} directs no adversary: no wire joins it to an adversary, as coordination.toml does"
 
 
-def _defences(run: _Played) -> Iterator[str]:
+def _defences(run: _EndedRun) -> Iterator[str]:
     """Integrity stages that no view reaches, or that never had two agents to compare."""
     for name, spec in run.of_role("command_center").items():
         pipeline = spec.config.get("pipeline")
@@ -178,7 +178,7 @@ def _defences(run: _Played) -> Iterator[str]:
             yield f"the defence {kind} had nothing to compare: no two agents saw the same object"
 
 
-def _trusted_strangers(run: _Played, stage: Any) -> Iterator[str]:
+def _trusted_strangers(run: _EndedRun, stage: Any) -> Iterator[str]:
     """Agents that an integrity stage, or the one in it, compares all others with, and that do not exist."""
     if not isinstance(stage, Mapping):
         return
@@ -189,7 +189,7 @@ def _trusted_strangers(run: _Played, stage: Any) -> Iterator[str]:
     yield from _trusted_strangers(run, stage.get("stage"))
 
 
-def _vetoes(run: _Played) -> Iterator[str]:
+def _vetoes(run: _EndedRun) -> Iterator[str]:
     """Drivers whose own sensors can refute nothing."""
     recording = run.resolved.recording
     if recording is not None and not len(recording.buildings):
@@ -204,7 +204,7 @@ def _seen_by_two(recording: Recording, frames: int) -> bool:
     return bool(((recording.points[:rows] >= SEEN_RETURNS).sum(axis=1) >= 2).any())
 
 
-def _links(run: _Played) -> Iterator[str]:
+def _links(run: _EndedRun) -> Iterator[str]:
     """Links that received no message. One that changed none is a good link."""
     for name in run.of_role("link"):
         measured = run.metrics.get("interposers", {}).get(name)
@@ -212,7 +212,7 @@ def _links(run: _Played) -> Iterator[str]:
             yield f"{name} received no message"
 
 
-def _faults(run: _Played) -> Iterator[str]:
+def _faults(run: _EndedRun) -> Iterator[str]:
     """Faults on links that changed no message in their time.
 
     In lock-step alone: in real time, delays of less than a frame are not measured as effects.
@@ -236,7 +236,7 @@ def _faults(run: _Played) -> Iterator[str]:
             yield f"fault {band['label']} changed no message from {band['at_s']:g}{end} s"
 
 
-def _sensors(run: _Played) -> Iterator[str]:
+def _sensors(run: _EndedRun) -> Iterator[str]:
     """Sensors whose detections are empty in all frames."""
     recording = run.resolved.recording
     if recording is None:
@@ -251,7 +251,7 @@ def _sensors(run: _Played) -> Iterator[str]:
             yield f"the sensor {agent if agent in lone else name} detected nothing"
 
 
-def _agents(run: _Played) -> Iterator[str]:
+def _agents(run: _EndedRun) -> Iterator[str]:
     """Agents without a track of their own, in runs that last long enough for tracks to begin."""
     if run.metrics.get("settled") is not True:
         return
@@ -264,7 +264,7 @@ def _agents(run: _Played) -> Iterator[str]:
     yield from (f"{agent} had no track within the range of the metrics" for agent, any_ in tracked.items() if not any_)
 
 
-def _metrics(run: _Played) -> Iterator[str]:
+def _metrics(run: _EndedRun) -> Iterator[str]:
     """The user's metrics that have no value in some estimates."""
     config = run.resolved.nodes[EVALUATOR].config.get("metrics", ()) if EVALUATOR in run.resolved.nodes else ()
     types = registry.known_types(Metric)

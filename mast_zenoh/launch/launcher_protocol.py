@@ -34,7 +34,7 @@ from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.run_folder.recording import churn
 from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.wiring import insertion
-from mast_zenoh.wiring.insertion import Place
+from mast_zenoh.wiring.insertion import InsertionPoint
 from mast_zenoh.wiring.model import Wiring
 
 DRIVER_TIMEOUT_S = 60.0  #: for the driver to answer `rewire`
@@ -450,7 +450,7 @@ class Interceptions:
         else:
             self._actions.answer(query, msgpack.packb(answer))
 
-    def _intercept(self, name: str, spec: NodeSpec, place: Place, modules: tuple[str, ...]) -> Work:
+    def _intercept(self, name: str, spec: NodeSpec, place: InsertionPoint, modules: tuple[str, ...]) -> Work:
         """Start a node, and put it on its wire once it has joined the mesh."""
         before = self._state.resolved
         if name in before.nodes or any(child.name == name for child in self._supervisor.running()):

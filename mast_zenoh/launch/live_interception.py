@@ -49,7 +49,7 @@ from mast_zenoh.scenario.nodes import add_surroundings, node_spec
 from mast_zenoh.scenario.resolution import modules_of
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import maps
-from mast_zenoh.wiring.insertion import Place, insert
+from mast_zenoh.wiring.insertion import InsertionPoint, insert
 from mast_zenoh.wiring.model import ANY, Endpoint, Leg, Wire, Wiring, agent_of, takes
 
 SECRET_FILE = "control.key"
@@ -173,7 +173,7 @@ def plan(
     input: str | None = None,
     output: str | None = None,
     settings: Sequence[str] = (),
-) -> tuple[str, NodeSpec, Place]:
+) -> tuple[str, NodeSpec, InsertionPoint]:
     """(name, spec, place) of a node to put on a wire; checked, and built once.
 
     For parameters and errors see `intercept`.
@@ -252,7 +252,7 @@ def _place(
     resolved: Resolved,
     input: str | None,
     output: str | None,
-) -> Place:
+) -> InsertionPoint:
     """The node's ports on the wire, its other inputs, and the wires that it publishes itself.
 
     An input port is connected to the only other wire of its message type that has no subject or the node's subject
@@ -278,7 +278,7 @@ def _place(
         for wire in _own_wires(cls, name, resolved)
         if wire.key not in existing and wire.legs[0].publisher.port != output_port
     )
-    return Place(target.key, input_port, output_port, other_inputs, published_wires)
+    return InsertionPoint(target.key, input_port, output_port, other_inputs, published_wires)
 
 
 def port_of(node: type[Node], message: str, requested: str | None, place: str, side: str, wire: str) -> str:

@@ -24,7 +24,7 @@ MAX_LOGS_BYTES = 32 << 20
 _TIME = re.compile(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} ")
 
 
-class Line(NamedTuple):
+class LogLine(NamedTuple):
     """A line of a node's log; bytes that are not UTF-8 are replaced by their codes, `\\xff`."""
 
     node: str
@@ -56,7 +56,7 @@ class RunLogs:
         record = self._record()
         return liveness.current_record(record).get("status") == RUNNING
 
-    def new_lines(self, *, partial: bool) -> Iterator[Line]:
+    def new_lines(self, *, partial: bool) -> Iterator[LogLine]:
         """The lines since the last call, in the order of their times.
 
         partial: also what follows the last line feed of a log
@@ -68,7 +68,7 @@ class RunLogs:
                 self._logs[path.stem] = _Log(path, most)
         entries = [self._entries(node, log, partial=partial) for node, log in sorted(self._logs.items())]
         for _, node, line in heapq.merge(*entries, key=itemgetter(0)):
-            yield Line(node, line.decode("utf-8", "backslashreplace"))
+            yield LogLine(node, line.decode("utf-8", "backslashreplace"))
 
     def _entries(self, node: str, log: _Log, *, partial: bool) -> Iterator[tuple[bytes, str, bytes]]:
         try:

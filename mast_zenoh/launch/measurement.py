@@ -27,7 +27,7 @@ from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.messages import user_types
 from mast_zenoh.run_folder import read_json, read_object
 from mast_zenoh.run_folder.recording import reader
-from mast_zenoh.run_folder.recording.format import JOINED, LEFT, MALFORMED, REWIRED, Event
+from mast_zenoh.run_folder.recording.format import JOINED, LEFT, MALFORMED, REWIRED, RecordedEvent
 from mast_zenoh.run_folder.recording.reader import Recorded, events, file_of, read
 from mast_zenoh.run_folder.recording.writer import FILE
 from mast_zenoh.runtime.host import Host
@@ -85,7 +85,7 @@ def results_of(
         present[event.node] = event.role
     host.start({peer: role for peer, role in present.items() if peer != name})
 
-    def change(event: Event) -> None:
+    def change(event: RecordedEvent) -> None:
         if event.what == REWIRED:
             new = _wiring(event, overhearers, path)
             for key, port_input in new.ports(name).inputs.items():
@@ -148,7 +148,7 @@ def _by_step(messages: Iterable[Recorded]) -> Iterator[tuple[int, Recorded]]:
         yield step, late
 
 
-def _wiring(event: Event, overhearers: Sequence[Endpoint], path: Path) -> Wiring:
+def _wiring(event: RecordedEvent, overhearers: Sequence[Endpoint], path: Path) -> Wiring:
     """The wiring in an event, with these overhearers even if the run lacked them."""
     try:
         wiring = Wiring.from_json(event.wiring)

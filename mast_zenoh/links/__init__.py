@@ -10,7 +10,7 @@
 """
 
 from mast_zenoh.links.base import Passage, Rule, SenderPose, Sensed
-from mast_zenoh.links.chain import PROFILES, Chain, Outcome, profile
+from mast_zenoh.links.chain import PROFILES, Chain, PassageOutcome, profile
 from mast_zenoh.links.content import (
     BlindSector,
     ClockSkew,
@@ -56,8 +56,8 @@ __all__ = [
     "GilbertElliott",
     "Hold",
     "Loss",
-    "Outcome",
     "Passage",
+    "PassageOutcome",
     "PoseError",
     "RangeLimit",
     "Reorder",

@@ -19,7 +19,7 @@ _MAX_DELAY_NS = 3_600_000_000_000
 
 
 @dataclass(slots=True)
-class Outcome:
+class PassageOutcome:
     """The result of one message's passage.
 
     leaving: the delivered copies, and the delay of each, s
@@ -62,7 +62,7 @@ class Chain:
         self._last_ns = 0  # when the last message that does not overtake leaves
         self._delaying_rule = -1  # the rule that delays it
 
-    def carry(self, passage: Passage) -> Outcome:
+    def carry(self, passage: Passage) -> PassageOutcome:
         """Apply the rules to the next message on the wire."""
         self._number += 1
         fates: dict[str, int] = {}
@@ -88,11 +88,11 @@ class Chain:
                 survivors = _number_copies(survivors)
             passages = survivors
             if not passages:
-                return Outcome([], {"dropped": fates.get("dropped", index)})
+                return PassageOutcome([], {"dropped": fates.get("dropped", index)})
         fates.pop("dropped", None)
         return self._leave(passages, fates)
 
-    def _leave(self, passages: Sequence[Passage], fates: dict[str, int]) -> Outcome:
+    def _leave(self, passages: Sequence[Passage], fates: dict[str, int]) -> PassageOutcome:
         """Compute when each copy leaves."""
         leaving = []
         for passage in passages:
@@ -106,7 +106,7 @@ class Chain:
                     self._delaying_rule = fates["delayed"]
                 self._last_ns = due
             leaving.append((passage, min(due - passage.now_ns, _MAX_DELAY_NS) / NANOSECONDS))
-        return Outcome(leaving, fates, leaving[0][1])
+        return PassageOutcome(leaving, fates, leaving[0][1])
 
 
 def _number_copies(passages: Sequence[Passage]) -> list[Passage]:

@@ -37,7 +37,7 @@ _MAX_PLANS = 1024  # that are remembered by sizes, and by length
 _SHORT_TEXT = 0xA0  # of MessagePack: this byte plus a length below 32 precedes a text
 
 
-class Plan(NamedTuple):
+class BodyPlan(NamedTuple):
     """The valid columns of a body with known sizes, as kernels check them.
 
     dtypes: object for text
@@ -67,7 +67,7 @@ def limit_of(column: Column) -> float:
     return column.below if column.dtype == "uint8" else column.least_length**2
 
 
-class Layout:
+class BodyLayout:
     """The shapes of one schema's columns for given sizes of its letters, cached."""
 
     def __init__(self, schema: Schema) -> None:
@@ -86,14 +86,14 @@ class Layout:
             b"\x87" + msgpack.packb({"schema": schema.name, "version": schema.version, "source": 0})[1:-1]
         )
         self.body_prefix = msgpack.packb("body") + msgpack.Packer().pack_map_header(len(schema.columns))
-        self._plans: dict[tuple[int, ...], Plan] = {}
-        self._plan_of_length: dict[int, Plan] = {}  # of the newest body with so many bytes
+        self._plans: dict[tuple[int, ...], BodyPlan] = {}
+        self._plan_of_length: dict[int, BodyPlan] = {}  # of the newest body with so many bytes
 
     def sizes(self, body: Body) -> dict[str, int]:
         """Sizes of the letters, from arrays; raises KeyError or IndexError if missing."""
         return {letter: body[name].shape[axis] for letter, (name, axis) in self._letters.items()}
 
-    def plan(self, sizes: tuple[int, ...]) -> Plan:
+    def plan(self, sizes: tuple[int, ...]) -> BodyPlan:
         """The valid columns of a body.
 
         sizes: of the letters, in their order
@@ -107,14 +107,14 @@ class Layout:
             _remember(self._plans, sizes, plan)
         return plan
 
-    def _planned(self, sizes: Mapping[str, int]) -> Plan:
+    def _planned(self, sizes: Mapping[str, int]) -> BodyPlan:
         """The plan for sizes by letter."""
         columns = self.schema.columns
         shapes = tuple(tuple(sizes[n] if isinstance(n, str) else n for n in column.shape) for column in columns)
         dtypes = tuple(WIRE_DTYPE.get(column.dtype, TEXT) for column in columns)
         n_bytes = [prod(shape) * dtype.itemsize * (dtype != TEXT) for shape, dtype in zip(shapes, dtypes, strict=True)]
         packed = tuple(zip([DTYPE_NAME[column.dtype] for column in columns], map(list, shapes), n_bytes, strict=True))
-        return Plan(
+        return BodyPlan(
             names=self._names,
             dtypes=dtypes,
             shapes=shapes,
@@ -123,7 +123,7 @@ class Layout:
             fits=sum(n_bytes) <= MAX_BYTES,
         )
 
-    def plan_of(self, body: Body) -> Plan:
+    def plan_of(self, body: Body) -> BodyPlan:
         """The plan for the sizes of arrays; raises KeyError, IndexError or ValueError."""
         sizes = tuple([body[name].shape[axis] for name, axis in self._sources])
         return self._plans.get(sizes) or self.plan(sizes)
@@ -141,7 +141,7 @@ class Layout:
             return None
         return split_columns(payload, place + len(self.body_prefix), plan)
 
-    def _plan_of_rows(self, n_bytes: int) -> Plan | None:
+    def _plan_of_rows(self, n_bytes: int) -> BodyPlan | None:
         """The plan of a message of numbers in which only the number of rows varies; None for other types.
 
         n_bytes: of the message after its header
@@ -178,7 +178,7 @@ class Layout:
         return sound_values(plain, self._names, self._limits) <= MAX_SQUARES
 
 
-def _remember(plans: dict[Key, Plan], key: Key, plan: Plan) -> None:
+def _remember(plans: dict[Key, BodyPlan], key: Key, plan: BodyPlan) -> None:
     """Remember a plan. If there is no room, all others are forgotten, so that one sender cannot keep it full."""
     if len(plans) >= _MAX_PLANS:
         plans.clear()
@@ -191,7 +191,7 @@ def has_dtype(array: object, dtype: np.dtype[Any]) -> TypeGuard[NDArray[Any]]:
 
 
 def _prefix(name: str, packed: tuple[str, list[int], int]) -> bytes:
-    """What precedes the data of a column in a message: its name, dtype, shape and length; packed: see `Plan`."""
+    """What precedes the data of a column in a message: its name, dtype, shape and length; packed: see `BodyPlan`."""
     dtype, shape, n_bytes = packed
     prefix: bytes = msgpack.packb({name: [dtype, shape, 0]})[1:-1]
     if dtype == "str":
@@ -201,7 +201,7 @@ def _prefix(name: str, packed: tuple[str, list[int], int]) -> bytes:
 
 
 @kernel
-def packed_columns(body: Mapping[str, Any], plan: Plan) -> dict[str, NDArray[Any]] | None:
+def packed_columns(body: Mapping[str, Any], plan: BodyPlan) -> dict[str, NDArray[Any]] | None:
     """The columns of a packed body if all match the plan, else None; values unchecked."""
     columns: dict[str, NDArray[Any]] = {}
     for name, dtype, shape, (dtype_name, dims, n_bytes) in zip(
@@ -259,7 +259,7 @@ def split_header(payload: bytes, prefix: bytes) -> tuple[str, int, int, int, int
 
 
 @kernel
-def split_columns(payload: bytes, place: int, plan: Plan) -> dict[str, NDArray[Any]] | None:
+def split_columns(payload: bytes, place: int, plan: BodyPlan) -> dict[str, NDArray[Any]] | None:
     """The columns that end a message, packed exactly as planned; None if they are not. Values are unchecked.
 
     place: of the first column
@@ -339,12 +339,12 @@ def sound_values(columns: Mapping[str, NDArray[Any]], names: tuple[str, ...], li
 
 
 #: The layouts of all message types that the codec knows.
-LAYOUTS = {name: Layout(schema) for name, schema in SCHEMAS.items()}
+LAYOUTS = {name: BodyLayout(schema) for name, schema in SCHEMAS.items()}
 
-_layout_of_recording = lru_cache(maxsize=64)(Layout)
+_layout_of_recording = lru_cache(maxsize=64)(BodyLayout)
 
 
-def layout_of(schema: Schema) -> Layout:
+def layout_of(schema: Schema) -> BodyLayout:
     """The layout of a message type, which may be of a recording and unknown here."""
     layout = LAYOUTS.get(schema.name)
     return layout if layout is not None and layout.schema is schema else _layout_of_recording(schema)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from mast_zenoh.messages.layout import LAYOUTS, Layout
+from mast_zenoh.messages.layout import LAYOUTS, BodyLayout
 from mast_zenoh.messages.schemas import BUILT_IN, MAX_COLUMNS, SCHEMAS, Column, Schema
 
 
@@ -17,7 +17,7 @@ def use(schemas: Iterable[Schema]) -> None:
         del SCHEMAS[name], LAYOUTS[name]
     for name, schema in wanted.items():
         if SCHEMAS.get(name) != schema:
-            SCHEMAS[name], LAYOUTS[name] = schema, Layout(schema)
+            SCHEMAS[name], LAYOUTS[name] = schema, BodyLayout(schema)
 
 
 def to_json(schema: Schema) -> dict[str, Any]:

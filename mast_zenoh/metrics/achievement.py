@@ -13,7 +13,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.boxes import Places, find, nearest
-from mast_zenoh.metrics.causes import Labels
+from mast_zenoh.metrics.causes import CauseLabels
 from mast_zenoh.metrics.estimates import MISSION, PICTURE
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, KINDS, MOVED, REMOVED, Manipulations
 from mast_zenoh.metrics.scores import MATCHED, MISSED, UNEVALUATED, Scores, Table, Texts
@@ -59,7 +59,7 @@ def false_track_errors(
 
 
 @dataclass(frozen=True, slots=True)
-class Targets:
+class Manipulated:
     """n objects that an adversary manipulated, each in one frame.
 
     Several passages of one adversary count once.
@@ -79,9 +79,9 @@ class Targets:
     error_m: dict[str, Floats]
     by_others: Bools
 
-    def select(self, rows: Bools) -> Targets:
+    def select(self, rows: Bools) -> Manipulated:
         """The rows selected by a mask."""
-        return Targets(
+        return Manipulated(
             self.attacks.select(rows),
             {name: values[rows] for name, values in self.believed.items()},
             {name: values[rows] for name, values in self.judged.items()},
@@ -90,7 +90,7 @@ class Targets:
         )
 
     @classmethod
-    def joined(cls, parts: Sequence[Targets]) -> Targets:
+    def joined(cls, parts: Sequence[Manipulated]) -> Manipulated:
         """The targets of several parts of a run, in that order."""
         names = parts[0].believed
         return cls(
@@ -121,13 +121,13 @@ class Targets:
 
 def targets(
     scores: Scores,
-    labels: Labels,
+    labels: CauseLabels,
     manipulations: Manipulations,
     ego: str,
     victims: dict[str, set[int]],
     range_m: float,
     min_points: int,
-) -> Targets:
+) -> Manipulated:
     """Evaluate every manipulated object in the picture and the ego's estimate.
 
     The ego's estimate is the mission-critical one.
@@ -151,7 +151,7 @@ def targets(
     for name, chosen in (("centre", picture), ("ego", mission)):
         within = _in_range(attacks, scores.truth.agent_position[:, column[chosen]], scores.frames, range_m)
         believed[name], judged[name], error[name] = _judge(scores, labels, attacks, chosen, within)
-    return Targets(attacks, believed, judged, error, _seen_by_others(attacks, scores, victims, min_points))
+    return Manipulated(attacks, believed, judged, error, _seen_by_others(attacks, scores, victims, min_points))
 
 
 def _in_range(manipulations: Manipulations, place: Floats, frames: Ints, range_m: float) -> Bools:
@@ -167,7 +167,7 @@ def _in_range(manipulations: Manipulations, place: Floats, frames: Ints, range_m
 
 
 def _judge(
-    scores: Scores, labels: Labels, manipulations: Manipulations, chosen: Bools, within: Bools
+    scores: Scores, labels: CauseLabels, manipulations: Manipulations, chosen: Bools, within: Bools
 ) -> tuple[Bools, Bools, Floats]:
     """Whether manipulations are believed, whether that is defined, and the error m.
 
@@ -257,7 +257,7 @@ def switches(scores: Scores, switch_by: Texts, ego: str, scored: slice = slice(N
     }
 
 
-def summary(targets_: Targets, switched: Mapping[str, Sequence[str]], period_s: float) -> dict[str, dict[str, Any]]:
+def summary(targets_: Manipulated, switched: Mapping[str, Sequence[str]], period_s: float) -> dict[str, dict[str, Any]]:
     """Results by adversary, and of ALL together; {} without adversaries.
 
     See docs/metrics.md.
@@ -282,7 +282,7 @@ def summary(targets_: Targets, switched: Mapping[str, Sequence[str]], period_s: 
     return result
 
 
-def _merge(targets_: Targets, rows: Ints) -> Targets:
+def _merge(targets_: Manipulated, rows: Ints) -> Manipulated:
     """The targets in `rows`, merged if they have the same object and frame.
 
     Several adversaries may have manipulated the same object.
@@ -299,7 +299,7 @@ def _merge(targets_: Targets, rows: Ints) -> Targets:
     for name, values in targets_.error_m.items():
         np.fmax.at(error[name], group, values[rows])
     first_rows = rows[first]
-    return Targets(
+    return Manipulated(
         targets_.attacks.select(first_rows),
         believed,
         {name: values[first_rows] for name, values in targets_.judged.items()},
@@ -308,7 +308,7 @@ def _merge(targets_: Targets, rows: Ints) -> Targets:
     )
 
 
-def _results(targets_: Targets, rows: Ints, period_s: float) -> dict[str, Any]:
+def _results(targets_: Manipulated, rows: Ints, period_s: float) -> dict[str, Any]:
     result: dict[str, Any] = {}
     attacks = targets_.attacks
     success = dict.fromkeys(targets_.believed, rows[:0])

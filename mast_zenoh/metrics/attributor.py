@@ -21,8 +21,8 @@ from mast_zenoh.metrics.causes import (
     TRACKING,
     UNKNOWN,
     WITHHELD,
+    CauseLabels,
     Hidden,
-    Labels,
     claimed_positions,
     joined_names,
 )
@@ -265,7 +265,7 @@ class Attributor:
         #: ids and frames of truth objects of which a link moved an agent's track
         self.displaced = self.truth.boxes.id[rows], self.truth_frame[rows]
 
-    def labels(self) -> Labels:
+    def labels(self) -> CauseLabels:
         """The cause of every false track, missed object and identity switch of every estimate of the run."""
         n, names = len(self.scores.judged.frame), self.manipulations.culprits
         cause, by = np.full(n, UNKNOWN), np.zeros((n, len(names)), bool)
@@ -283,7 +283,7 @@ class Attributor:
             central = missed & (self.judged & ~self.own)[self.truths.series]
             limits = self.limits.withheld_m, self.begin
             self.withheld.set_causes(self.scores, self.truths, central, limits, cause, names_by)
-        return Labels(cause, names_by, switch_cause, joined_names(names, switch_by))
+        return CauseLabels(cause, names_by, switch_cause, joined_names(names, switch_by))
 
     def _switches(self, track_cause: Ints, track_by: Bools) -> tuple[Ints, Bools]:
         """Causes of the identity switches: hiding, a false object, otherwise tracking."""

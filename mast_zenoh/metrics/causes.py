@@ -68,7 +68,7 @@ def claimed_positions(manipulations: Manipulations, period_s: float, coast: int,
     return Places(group, position), Places(group, original)
 
 
-class Labels(NamedTuple):
+class CauseLabels(NamedTuple):
     """Causes of the errors of a run.
 
     cause: (n,) of each row of `Scores.judged`, an index into CAUSES; UNKNOWN: no error

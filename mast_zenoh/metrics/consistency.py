@@ -67,7 +67,7 @@ class Consistency:
 
     def of(
         self,
-        series: Mapping[tuple[str, str], Deviations],
+        series: Mapping[tuple[str, str], PairDeviations],
         objects: Ints,
         pictures: Collection[str],
         period_s: float,
@@ -149,7 +149,7 @@ class Consistency:
         return None
 
 
-class Deviations(NamedTuple):
+class PairDeviations(NamedTuple):
     """m pairs of one estimate of a run.
 
     frame: (m,) rows of the frames;  object: (m,) ids
@@ -162,14 +162,14 @@ class Deviations(NamedTuple):
     velocity: Floats
 
     @classmethod
-    def joined(cls, parts: Sequence[Deviations]) -> Deviations:
+    def joined(cls, parts: Sequence[PairDeviations]) -> PairDeviations:
         """The pairs of several parts of a run."""
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
-    def every(self, step: int) -> Deviations:
+    def every(self, step: int) -> PairDeviations:
         """The pairs of every `step`-th frame."""
         kept = self.frame % step == 0
-        return Deviations._make(column[kept] for column in self)
+        return PairDeviations._make(column[kept] for column in self)
 
 
 def counts(agent: str, estimator: str, pictures: Collection[str]) -> bool:
@@ -177,10 +177,10 @@ def counts(agent: str, estimator: str, pictures: Collection[str]) -> bool:
     return estimator in (LOCAL, RECEIVED, MISSION) or (estimator == PICTURE and agent in pictures)
 
 
-def deviations(pairs: MatchedPairs, series: int, frames: slice) -> Deviations:
+def deviations(pairs: MatchedPairs, series: int, frames: slice) -> PairDeviations:
     """The deviations of one row of series in a slice of the frames, with a start and a stop."""
     errors, truth = pairs.errors(series, frames), pairs.truth.boxes
-    return Deviations(
+    return PairDeviations(
         truth.group.take(errors.truth_row),
         truth.id.take(errors.truth_row),
         nees(*errors.position),

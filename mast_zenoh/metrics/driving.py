@@ -16,7 +16,7 @@ from mast_zenoh.arrays.rectangles import overlapping
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
 from mast_zenoh.metrics.boxes import find
-from mast_zenoh.metrics.causes import ATTACK_CAUSES, Labels
+from mast_zenoh.metrics.causes import ATTACK_CAUSES, CauseLabels
 from mast_zenoh.metrics.estimates import LOCAL, MISSION
 from mast_zenoh.metrics.record import Record, Series, TruthTable
 from mast_zenoh.metrics.scores import FALSE, MISSED, Scores, Table
@@ -111,7 +111,7 @@ _STEP_M, _REACH_M = 1.0, 8.0
 _SELF_M = 2.0
 
 
-class Vehicle(NamedTuple):
+class VehicleCourse(NamedTuple):
     """A vehicle in f frames.
 
     position (f, 3) m, velocity (f, 3) m/s, world frame; heading (f,) rad; length, width m
@@ -178,7 +178,7 @@ class Driving:
         if not 0.0 <= self.margin_m < np.inf:
             raise ValueError(f"margin_m: found {self.margin_m}, expected 0 or more")
 
-    def ahead(self, vehicle: Vehicle, objects: RoadUsers) -> Ahead:
+    def ahead(self, vehicle: VehicleCourse, objects: RoadUsers) -> Ahead:
         """The objects in the corridor, and the objects that overlap the vehicle itself.
 
         The corridor follows the path that the vehicle drove after each frame, and continues straight beyond its end.
@@ -209,7 +209,7 @@ class Driving:
         return Ahead(row, gap, ttc, brake, overlapping, ahead_speed)
 
 
-def _overlaps(vehicle: Vehicle, objects: RoadUsers, row: Ints) -> Bools:
+def _overlaps(vehicle: VehicleCourse, objects: RoadUsers, row: Ints) -> Bools:
     """Whether each of k objects (k,) overlaps the vehicle or is centred on it."""
     frame = objects.frame[row]
     offset = objects.position[row, :2] - vehicle.position[frame, :2]
@@ -245,7 +245,7 @@ def nearest_points(position: Floats, path: Floats, least: Ints, reach_m: float) 
     return nearest
 
 
-def _path(vehicle: Vehicle, horizon_m: float) -> tuple[Floats, Floats, Floats]:
+def _path(vehicle: VehicleCourse, horizon_m: float) -> tuple[Floats, Floats, Floats]:
     """Points (k, 2) m along the path, headings (k,) rad and arc lengths (k,) m.
 
     At equal steps along the whole path and straight on.
@@ -262,7 +262,7 @@ def _path(vehicle: Vehicle, horizon_m: float) -> tuple[Floats, Floats, Floats]:
     return points, np.arctan2(tangent[:, 1], tangent[:, 0]), along
 
 
-def _distance_driven(vehicle: Vehicle) -> Floats:
+def _distance_driven(vehicle: VehicleCourse) -> Floats:
     """Distance driven (f,) m along the path in each frame."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(vehicle.position[:, :2], axis=0).T))])
 
@@ -295,7 +295,7 @@ class Drive(NamedTuple):
     attacked: Bools
 
 
-def drives(driving: Driving, record: Record, scores: Scores, labels: Labels) -> dict[tuple[str, str], Drive]:
+def drives(driving: Driving, record: Record, scores: Scores, labels: CauseLabels) -> dict[tuple[str, str], Drive]:
     """The behaviour of each vehicle among the agents, by (agent, estimate).
 
     "truth" is one of the estimates.
@@ -323,7 +323,9 @@ def drives(driving: Driving, record: Record, scores: Scores, labels: Labels) -> 
     return result
 
 
-def vehicles(agents: Sequence[str], truth: TruthTable, n_frames: int) -> Iterator[tuple[str, Vehicle, RoadUsers, Ints]]:
+def vehicles(
+    agents: Sequence[str], truth: TruthTable, n_frames: int
+) -> Iterator[tuple[str, VehicleCourse, RoadUsers, Ints]]:
     """Yield each vehicle among the agents: its name, itself, all other objects, and their ids (n,).
 
     Only agents that are objects of the scene in all frames are vehicles.
@@ -337,17 +339,19 @@ def vehicles(agents: Sequence[str], truth: TruthTable, n_frames: int) -> Iterato
             yield agent, vehicle, objects, boxes.id
 
 
-def _vehicle(truth: TruthTable, agent: int, n_frames: int) -> Vehicle | None:
+def _vehicle(truth: TruthTable, agent: int, n_frames: int) -> VehicleCourse | None:
     own = (truth.boxes.id == truth.agent_object[truth.boxes.group, agent]) & (truth.boxes.id >= 0)
     rows = own.nonzero()[0]
     if n_frames == 0 or len(rows) != n_frames:
         return None
     boxes = truth.boxes.select(rows)
     length, width = boxes.size[0, :2].tolist()
-    return Vehicle(boxes.position, truth.velocity[rows], boxes.yaw, length, width)
+    return VehicleCourse(boxes.position, truth.velocity[rows], boxes.yaw, length, width)
 
 
-def _errors(scores: Scores, labels: Labels, series: int, outcome: int, frame: Ints, id_: Ints) -> tuple[Bools, Bools]:
+def _errors(
+    scores: Scores, labels: CauseLabels, series: int, outcome: int, frame: Ints, id_: Ints
+) -> tuple[Bools, Bools]:
     """Objects (n,) of a series with this outcome, and which of them are due to an attack."""
     judged = scores.judged
     rows = np.flatnonzero((judged.series == series) & (judged.outcome == outcome))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.causes import Labels, cause_names
+from mast_zenoh.metrics.causes import CauseLabels, cause_names
 from mast_zenoh.metrics.scores import OUTCOMES, Scores, Texts
 
 
@@ -80,7 +80,7 @@ class EstimateColumns(NamedTuple):
     cause: NDArray[np.int8]
 
     @classmethod
-    def of(cls, row: int, scores: Scores, labels: Labels, scored: Bools, frames: slice) -> EstimateColumns:
+    def of(cls, row: int, scores: Scores, labels: CauseLabels, scored: Bools, frames: slice) -> EstimateColumns:
         """The estimate of a row of `scores.series` in a slice of `scores.frames`, with a start and a stop."""
         judged, (agent, _) = scores.judged, scores.series[row]
         rows = np.flatnonzero(judged.series == row)
@@ -123,7 +123,7 @@ class EstimateColumns(NamedTuple):
         return Estimate(agent=agent, estimator=estimator, period_s=period_s, **columns)
 
 
-def estimates_of(scores: Scores, labels: Labels, scored: Bools, period_s: float) -> list[Estimate]:
+def estimates_of(scores: Scores, labels: CauseLabels, scored: Bools, period_s: float) -> list[Estimate]:
     """The estimates of `scores.series`, for users' metrics."""
     every = slice(0, len(scores.frames))
     return [

@@ -19,7 +19,7 @@ DUE, IDLE = "1", "0"
 
 
 @dataclass(frozen=True, eq=False)
-class AgentSensor:
+class OwnSensor:
     """One of several sensors of an agent, or one that measures at times of its own.
 
     name:           of the sensor

@@ -7,6 +7,6 @@ resolution  resolve: all that a replay needs before processes start
 """
 
 from mast_zenoh.replay.cut import PLAYED_ROLES
-from mast_zenoh.replay.resolution import Replay, resolve
+from mast_zenoh.replay.resolution import ResolvedReplay, resolve
 
-__all__ = ["PLAYED_ROLES", "Replay", "resolve"]
+__all__ = ["PLAYED_ROLES", "ResolvedReplay", "resolve"]

@@ -26,7 +26,7 @@ _CLOCK, _UNUSED = "clock", "unused"
 
 
 @dataclass(frozen=True)
-class Cut:
+class ReplayedMesh:
     """The nodes and wires of a replay.
 
     played: names of the nodes that only send what was recorded
@@ -40,7 +40,7 @@ class Cut:
     wiring: Wiring
 
 
-def cut(wiring: Wiring, roles: Mapping[str, str], place: Place, fixed: Collection[str] = ()) -> Cut:
+def cut(wiring: Wiring, roles: Mapping[str, str], place: Place, fixed: Collection[str] = ()) -> ReplayedMesh:
     """Divide a run at its agents or at its simulator.
 
     Played are the nodes of the roles before the cut, and those that were inserted into their wires. Nodes on the wires
@@ -62,7 +62,7 @@ def cut(wiring: Wiring, roles: Mapping[str, str], place: Place, fixed: Collectio
     players = {name for name in played if roles[name] != DRIVER_ROLE}
     overhearers = tuple(end for end in wiring.overhearers if end.node in live)
     clocked = tuple(_clocked(wire, players, live) if wire.message == "clock" else wire for wire in wires)
-    return Cut(
+    return ReplayedMesh(
         frozenset(played),
         frozenset(live),
         replace(wiring, wires=clocked, overhearers=overhearers, recorded=wiring.recorded or wiring),

@@ -19,7 +19,7 @@ from mast_zenoh.launch.measurement import recorded_wirings, scenario_of
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
-from mast_zenoh.replay.cut import Cut, Place, cut
+from mast_zenoh.replay.cut import Place, ReplayedMesh, cut
 from mast_zenoh.replay.cut import fitted as fit
 from mast_zenoh.replay.live import Live, live_nodes
 from mast_zenoh.replay.scripts import first_three, of_run, read_scripts
@@ -38,7 +38,7 @@ SUFFIX = "-replay"
 
 
 @dataclass(frozen=True)
-class Replay:
+class ResolvedReplay:
     """A replay that is ready to run.
 
     resolved: its nodes and wires;  origin: the recorded run, for run.json and metrics.json
@@ -74,7 +74,7 @@ def resolve(
     rate: float = 1.0,
     record: bool = True,
     allowed: AllowedCode = SHIPPED,
-) -> Replay:
+) -> ResolvedReplay:
     """Prepare the replay of the run in a folder.
 
     place:    after which nodes the run is cut, see `cut`
@@ -105,7 +105,7 @@ def resolve(
     messages = _messages(recorded.messages, classes)
     user_types.use(messages)
     fitted = fit(never_inserted(division.wiring, division.live - kept), classes)
-    division = Cut(division.played, frozenset(kept), fitted)
+    division = ReplayedMesh(division.played, frozenset(kept), fitted)
     planned = recorded.frames
     scripts = read_scripts(
         folder, division, roles, period_ns=recorded.period_ns, planned=planned, frames=frames, repeats=repeats
@@ -167,10 +167,12 @@ def resolve(
         "live": sorted(division.live),
         "changed": dict(live.changed),
     }
-    return Replay(resolved, origin, notices)
+    return ResolvedReplay(resolved, origin, notices)
 
 
-def _driver_inputs(evaluator: NodeSpec, wiring: Wiring, division: Cut, same: bool) -> dict[str, list[tuple[str, str]]]:
+def _driver_inputs(
+    evaluator: NodeSpec, wiring: Wiring, division: ReplayedMesh, same: bool
+) -> dict[str, list[tuple[str, str]]]:
     """The messages of the played drivers, for the evaluator: see `driver_wires.driver_ports`.
 
     What played nodes send is what a driver received; so is what live nodes send, if they are the `same` as recorded.
@@ -234,7 +236,7 @@ def _messages(recorded: Iterable[Schema], classes: Mapping[str, type[Node]]) -> 
     return tuple(known[name] for name in sorted(known))
 
 
-def _steps(steps: Iterable[ProcessStep], division: Cut, mode: str) -> tuple[ProcessStep, ...]:
+def _steps(steps: Iterable[ProcessStep], division: ReplayedMesh, mode: str) -> tuple[ProcessStep, ...]:
     """The process steps that a replay repeats.
 
     Played nodes are not paused: their silence is recorded. Nothing is paused in lock-step.

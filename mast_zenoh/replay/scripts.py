@@ -18,7 +18,7 @@ from mast_zenoh.launch.notices import number, of_recording
 from mast_zenoh.links import WIRES
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
-from mast_zenoh.replay.cut import Cut
+from mast_zenoh.replay.cut import ReplayedMesh
 from mast_zenoh.run_folder import versions
 from mast_zenoh.run_folder.recording import churn
 from mast_zenoh.run_folder.recording.format import MALFORMED
@@ -77,7 +77,7 @@ class Scripts:
 
 def read_scripts(
     folder: Path,
-    cut: Cut,
+    cut: ReplayedMesh,
     roles: Mapping[str, str],
     *,
     period_ns: int,
@@ -142,11 +142,11 @@ def _whole_frames(folder: Path, messages: Messages, whole: bool) -> int:
     return count
 
 
-def _played(cut: Cut) -> Iterator[Wire]:
+def _played(cut: ReplayedMesh) -> Iterator[Wire]:
     return (wire for wire in cut.wiring.wires if wire.legs[0].publisher.node in cut.played)
 
 
-def _check_inputs(folder: Path, cut: Cut, messages: Messages) -> list[str]:
+def _check_inputs(folder: Path, cut: ReplayedMesh, messages: Messages) -> list[str]:
     """Raise RunFolderError if all wires to an input of a live node are empty.
 
     Returns single wires that are, though others to the same input are not.
@@ -168,7 +168,7 @@ def _check_inputs(folder: Path, cut: Cut, messages: Messages) -> list[str]:
 
 
 def _lines(
-    name: str, cut: Cut, messages: Messages, frames: int, *, without_clock: bool
+    name: str, cut: ReplayedMesh, messages: Messages, frames: int, *, without_clock: bool
 ) -> tuple[list[Output], dict[int, list[tuple[int, bytes]]]]:
     """The outputs of a node, and what it sent by step."""
     passed = {passage.message: passage.wire for passage in cut.wiring.passages() if passage.node == name}

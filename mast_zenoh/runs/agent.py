@@ -15,7 +15,7 @@ from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring.model import Wiring, subject_of
 
 
-class Agent:
+class AgentMessages:
     """The messages that one agent of a run sent and received, by frame."""
 
     def __init__(self, path: Path, name: str, wiring: Wiring) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mast_zenoh.driving.braking import BRAKING_MPS2
 from mast_zenoh.launch.twin import FOLDER, NAME
-from mast_zenoh.runs.events import Event
+from mast_zenoh.runs.events import Happening
 from mast_zenoh.runs.files import RunFiles, Table, rows
 from mast_zenoh.runs.run import Run
 
@@ -99,7 +99,7 @@ def reason_of(brake: Mapping[str, Any]) -> str:
     return "for the road ahead or another reason"
 
 
-def braking_events(run: Run, times: np.ndarray, *, reasons: bool = True) -> list[Event]:
+def braking_events(run: Run, times: np.ndarray, *, reasons: bool = True) -> list[Happening]:
     """Brakes and collisions of driven cars. times: (f,) s, of the frames; reasons: say why they braked"""
     events = []
     for car in cars_of(run):
@@ -110,12 +110,12 @@ def braking_events(run: Run, times: np.ndarray, *, reasons: bool = True) -> list
             how = "brakes needlessly" if brake.get("needless") else "brakes"
             text = f"{car} {how} with {brake['hardest_mps2']:.1f} m/s²"
             text += f" {reason_of(brake)}" if reasons else ""
-            events.append(Event(frame, "brake", text, *_place(course, frame)))
+            events.append(Happening(frame, "brake", text, *_place(course, frame)))
         for hit in _entries(run, car, "collisions"):
             first = hit.get("frame") if isinstance(hit, Mapping) else None
             if type(first) is int and 0 <= first < len(times):
                 text = f"{car} hits object {hit.get('object')}"
-                events.append(Event(first, "collision", text, *_place(course, first)))
+                events.append(Happening(first, "collision", text, *_place(course, first)))
     return events
 
 

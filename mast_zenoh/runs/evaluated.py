@@ -46,7 +46,7 @@ class Score(NamedTuple):
         return cls(int(fn), int(fp), int(tp), rmse_m, int(id_switches))
 
 
-class Changes(NamedTuple):
+class MeasuredEffects(NamedTuple):
     """n measured effects of interposers on messages about a frame.
 
     interposer, role, wire, effect: (n,) text, see docs/effects.md
@@ -61,7 +61,7 @@ class Changes(NamedTuple):
     after: Floats
 
     @classmethod
-    def of(cls, effects: Table) -> Changes:
+    def of(cls, effects: Table) -> MeasuredEffects:
         """From rows of attacks.parquet."""
         before, after = (
             np.stack([effects[f"{when}_{axis}"] for axis in "xyz"], axis=1).astype(np.float64)
@@ -70,7 +70,7 @@ class Changes(NamedTuple):
         return cls(effects["interposer"], effects["role"], effects["wire"], effects["effect"], before, after)
 
     @classmethod
-    def none(cls) -> Changes:
+    def none(cls) -> MeasuredEffects:
         """No change."""
         text, places = np.zeros(0, str), np.zeros((0, 3))
         return cls(text, text, text, text, places, places)
@@ -93,9 +93,9 @@ class Changes(NamedTuple):
         moved = self.effect == "moved"
         return np.stack([self.before[moved], self.after[moved]], axis=1)
 
-    def joined(self, other: Changes) -> Changes:
+    def joined(self, other: MeasuredEffects) -> MeasuredEffects:
         """These changes and others."""
-        return Changes(*(np.concatenate(columns) for columns in zip(self, other, strict=True)))
+        return MeasuredEffects(*(np.concatenate(columns) for columns in zip(self, other, strict=True)))
 
     @property
     def sentences(self) -> list[str]:
@@ -159,12 +159,12 @@ class Evaluated:
         found = self._scores.get((frame, *series))
         return None if found is None or self._counts is None else Score.of(self._counts, int(found[0]))
 
-    def changes(self, frame: int) -> Changes:
+    def changes(self, frame: int) -> MeasuredEffects:
         """The changes of a frame."""
         if self._effects is None:
-            return Changes.none()
+            return MeasuredEffects.none()
         found = self._changes.get((frame,), np.zeros(0, np.int64))
-        return Changes.of({name: values[found] for name, values in self._effects.items()})
+        return MeasuredEffects.of({name: values[found] for name, values in self._effects.items()})
 
 
 def _grouped(table: Table | None, names: Sequence[str]) -> dict[tuple[Any, ...], Ints]:

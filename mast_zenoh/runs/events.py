@@ -20,7 +20,7 @@ VERBS = {"inserted": "inserts", "removed": "removes", "moved": "moves"}
 PARTITIONS = ("Partition", "HostPartition")
 
 
-class Event(NamedTuple):
+class Happening(NamedTuple):
     """Something that happened.
 
     frame: when;  kind: attack, fault, interception, suspension, undecided, effect, brake or collision;  text: in words
@@ -34,22 +34,22 @@ class Event(NamedTuple):
     y: float | None = None
 
 
-def happenings(run: Run, periods: list[dict[str, Any]], times: Floats) -> list[Event]:
+def happenings(run: Run, periods: list[dict[str, Any]], times: Floats) -> list[Happening]:
     """Beginnings and ends of periods and of nodes' absences, in any order; periods, times: as for `spans`."""
     result = []
     for each in periods:
         for at, words in ((each["from_s"], each["begins"]), (each["until_s"], each["ends"])):
             frame = int(np.searchsorted(times, at - 1e-6))
             if words and frame < len(times):
-                result.append(Event(frame, each["kind"], words))
+                result.append(Happening(frame, each["kind"], words))
     for node, start, end in node_absences(run):
-        result.append(Event(int(start), "fault", f"{node} is down"))
+        result.append(Happening(int(start), "fault", f"{node} is down"))
         if end < len(times):
-            result.append(Event(int(end), "fault", f"{node} is back"))
+            result.append(Happening(int(end), "fault", f"{node} is back"))
     return result
 
 
-def first_changes(run: Run) -> list[Event]:
+def first_changes(run: Run) -> list[Happening]:
     """The first manipulation of each kind by each adversary."""
     table, result = run.manipulations, []
     if table is None:
@@ -68,7 +68,7 @@ def first_changes(run: Run) -> list[Event]:
                 action = f"changes what {agent_in_key(str(own['wire'][first]))} says it sees"
             elif effect == "reframed" and own["message"][first] == "command":
                 action = f"changes its first command to {agent_in_key(str(own['wire'][first]))}"
-            result.append(Event(int(own["frame"][first]), "effect", f"{name} {action}", *place))
+            result.append(Happening(int(own["frame"][first]), "effect", f"{name} {action}", *place))
     return result
 
 

@@ -15,7 +15,7 @@ from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.estimates import BEHIND_DOWNLINK, LOCAL
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.runs.evaluated import Changes, Outcomes, Score
+from mast_zenoh.runs.evaluated import MeasuredEffects, Outcomes, Score
 from mast_zenoh.runs.files import boxes_of, rows
 from mast_zenoh.runs.routes import POSE, TRUTH
 from mast_zenoh.runs.run import Run
@@ -25,7 +25,7 @@ from mast_zenoh.scenes.recording import truth_states
 BOX_OUTCOMES = ("unevaluated", "truth matched", "track matched", "truth missed", "track false")
 
 
-class Pose(NamedTuple):
+class AgentPose(NamedTuple):
     """Where an agent is. position: (3,) m;  rotation: (3, 3) active, agent to world"""
 
     position: Floats
@@ -97,11 +97,11 @@ class Frame:
         return dict(zip(truth["agents"].tolist(), truth["agent_object"].tolist(), strict=True)) if truth else {}
 
     @cached_property
-    def poses(self) -> dict[str, Pose]:
+    def poses(self) -> dict[str, AgentPose]:
         """By agent, its true pose."""
         bodies = {agent: self.bodies.get(Series(agent, POSE)) for agent in self.run.agents}
         return {
-            agent: Pose(body["position"], rotation_from_quaternion(body["rotation"]))
+            agent: AgentPose(body["position"], rotation_from_quaternion(body["rotation"]))
             for agent, body in bodies.items()
             if body is not None
         }
@@ -113,7 +113,7 @@ class Frame:
         return {series: score for series, score in scores.items() if score is not None}
 
     @cached_property
-    def changes(self) -> Changes:
+    def changes(self) -> MeasuredEffects:
         """What interposers changed."""
         return self.run.evaluated.changes(self.index)
 
@@ -142,28 +142,28 @@ class Frame:
         return boxes
 
     @cached_property
-    def before(self) -> Changes:
+    def before(self) -> MeasuredEffects:
         """Manipulations in transit to the command centre, visible in the picture and all later estimates."""
         return self._manipulations(downlink=False)
 
     @cached_property
-    def behind(self) -> Changes:
+    def behind(self) -> MeasuredEffects:
         """Manipulations of the picture in transit to the main agent."""
         return self._manipulations(downlink=True)
 
-    def _manipulations(self, *, downlink: bool) -> Changes:
+    def _manipulations(self, *, downlink: bool) -> MeasuredEffects:
         effects = self.run.manipulations
         if effects is None:
-            return Changes.none()
+            return MeasuredEffects.none()
         here = rows(effects, (effects["frame"] == self.index) & ((effects["message"] == "picture") == downlink))
         if downlink:
             here = rows(here, np.isin(here["before_subscriber"].astype(str), ("", self.run.ego or "")))
-        return Changes.of(here)
+        return MeasuredEffects.of(here)
 
-    def marks(self, estimate: str) -> Changes:
+    def marks(self, estimate: str) -> MeasuredEffects:
         """The manipulations in this frame that an estimate can show."""
         if estimate == LOCAL:
-            return Changes.none()
+            return MeasuredEffects.none()
         return self.before.joined(self.behind) if estimate in BEHIND_DOWNLINK else self.before
 
     @property

@@ -26,7 +26,7 @@ from mast_zenoh.run_folder import json_or_empty, read_json, read_object
 from mast_zenoh.run_folder.tables import from_arrow, read_arrow
 from mast_zenoh.runs import messages as decoded
 from mast_zenoh.runs import routes
-from mast_zenoh.runs.agent import Agent
+from mast_zenoh.runs.agent import AgentMessages
 from mast_zenoh.runs.evaluated import Evaluated
 from mast_zenoh.runs.files import RunFiles, Table, rows
 from mast_zenoh.runs.messages import WireMessage
@@ -432,11 +432,11 @@ class Run:
             raise RunFolderError(f"{self.path}: wiring.json names no common picture")
         return decoded.table_of(self._folder, common.key, decoded.states)
 
-    def agent(self, name: str) -> Agent:
+    def agent(self, name: str) -> AgentMessages:
         """The agent of this name; raises ConfigurationError if there is none."""
         if name not in self.agents:
             raise ConfigurationError(f"{self.path}: no agent {name!r} in this run{nearest(name, self.agents)}")
-        return Agent(self._folder, name, self.wiring)
+        return AgentMessages(self._folder, name, self.wiring)
 
     @property
     def _folder(self) -> Path:

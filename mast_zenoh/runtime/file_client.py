@@ -23,7 +23,7 @@ import zenoh
 from mast_zenoh import version
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import codec, control_prefix, files
-from mast_zenoh.control.codec import Message
+from mast_zenoh.control.codec import ControlMessage
 from mast_zenoh.control.files import PIECE_BYTES
 from mast_zenoh.control.key_marks import control_mark
 from mast_zenoh.errors import MessageError, RunError
@@ -53,7 +53,7 @@ class FileClient:
 
     def fetch(self, folder: Path, patience_s: float) -> None:
         """Fetch this node's files into a folder; raises the error with which the launcher refuses."""
-        request = files.Join(version.version_string(), version.versions())
+        request = files.FilesRequest(version.version_string(), version.versions())
         while not (node_files := self.ask("fetch", request, patience_s, files.NodeFiles)).files:
             threading.Event().wait(_TURN_S)  # the scenario starts this node later
         for path, size in node_files.files.items():
@@ -73,7 +73,7 @@ class FileClient:
         """Append to a file of the run folder."""
         self.ask("file", files.Written(path, offset, piece), seconds, files.Nothing)
 
-    def ask(self, what: str, request: Message, seconds: float, kind: type[Answer]) -> Answer:
+    def ask(self, what: str, request: ControlMessage, seconds: float, kind: type[Answer]) -> Answer:
         """Query the launcher until it answers; returns the decoded answer, of this kind. An invalid one is ignored.
 
         Raises the error with which the launcher refuses, and RunError after `seconds` without an answer.

@@ -36,7 +36,7 @@ _FOREVER = 1 << 62  # ns, or steps
 _MAX_REASON = 200  # characters kept of the reason of a rejection
 
 
-class Link(Outside, Protocol):
+class OpenedOutside(Outside, Protocol):
     """A node's link to programs outside the run, as the runtime opens it."""
 
     def note_clock(self, frame: int) -> None:
@@ -153,7 +153,7 @@ class Host:
         self._awaited = timespan is not None and now is None and bool(ports.outputs) and _direct_clock(wiring)
         self._overhears = ANY in node.inputs.values()
         self._chooses = type(node).choice is not Node.choice
-        self.link: Link | None = None  # of a node that has topics outside the run
+        self.link: OpenedOutside | None = None  # of a node that has topics outside the run
         self._handlers = Handlers(node)
         for port_input in ports.inputs.values():
             self._handlers.add(port_input)

@@ -25,7 +25,7 @@ from mast_zenoh.runtime.protocol.actions import Actions, Clocks
 from mast_zenoh.runtime.protocol.driver import protocol_of
 from mast_zenoh.runtime.protocol.events import AnyEvent
 from mast_zenoh.runtime.protocol.node import NodeProtocol
-from mast_zenoh.runtime.protocol.traffic import Inbox, ProcessContext
+from mast_zenoh.runtime.protocol.traffic import EventInbox, ProcessContext
 from mast_zenoh.wiring.model import Wiring
 
 PROTOCOL_LOGS = "logs/protocol"  #: of a run folder: its nodes write their logs there, if it exists
@@ -203,7 +203,7 @@ def replay(log: ProcessLog, node: Node) -> ProcessLog:
 
     actions: Any = SimpleNamespace(**dict.fromkeys(Actions.__abstractmethods__, lambda *arguments: None))
     actions.unmatched = lambda keys: set(answer())
-    inbox = Inbox(lambda item: None, nullcontext())
+    inbox = EventInbox(lambda item: None, nullcontext())
     inbox.take_dropped = lambda: Counter({tuple(key): n for key, n in answer()})  # type: ignore[method-assign]
     resolved = Resolved.from_json(log.beginning.scenario, log.beginning.wiring)
     written: list[bytes] = []

@@ -9,7 +9,7 @@ import numpy as np
 
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.fusion.regions import Region
+from mast_zenoh.fusion.regions import ServedArea
 from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.node import Node
 from mast_zenoh.scenario.nodes import takes
@@ -116,7 +116,7 @@ def uncovered(nodes: Mapping[str, tuple[NodeSpec, Node]], recording: Recording, 
     """Yield a sentence if some true objects are in the region of no centre. frames: that are played"""
     centers = [node for spec, node in nodes.values() if spec.role == "center"]
     areas = [(getattr(node, "region", None), getattr(node, "overlap_m", 0.0)) for node in centers]
-    fixed = [(region, margin_m) for region, margin_m in areas if isinstance(region, Region) and not region.follows]
+    fixed = [(region, margin_m) for region, margin_m in areas if isinstance(region, ServedArea) and not region.follows]
     if not areas or len(fixed) < len(areas):
         return
     position = recording.truth.position[: recording.truth_start[frames]]

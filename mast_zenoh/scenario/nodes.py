@@ -263,7 +263,7 @@ def _limits(lidar: LidarSensor) -> dict[str, float]:
 
 
 def _due(recording: Recording, row: int, sensor: int) -> str:
-    """The frames with a new measurement, see `AgentSensor`; empty: all."""
+    """The frames with a new measurement, see `OwnSensor`; empty: all."""
     if recording.measurements is None:
         return ""
     ages = [recording.age_ns_at(frame, row, sensor) for frame in range(len(recording))]

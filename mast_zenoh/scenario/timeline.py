@@ -14,7 +14,7 @@ from mast_zenoh.attacks import Attack
 from mast_zenoh.config import plugins, registry
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, WiringError, nearest
-from mast_zenoh.faults import Fault, Plan, network, plan
+from mast_zenoh.faults import Fault, FaultPlan, network, plan
 from mast_zenoh.faults.base import DIRECTIONS, SENSOR, Rule
 from mast_zenoh.faults.plan import Carriers, band
 from mast_zenoh.scenario.nodes import node_spec
@@ -47,7 +47,7 @@ class Timeline:
 
     links: dict[str, NodeSpec]
     on_wires: tuple[tuple[str, str], ...]
-    plan: Plan
+    plan: FaultPlan
     bands: tuple[dict[str, Any], ...]
     network: dict[str, Any]
     faults: dict[str, list[tuple[str, float, float | None]]]

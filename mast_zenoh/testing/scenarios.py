@@ -104,7 +104,7 @@ def _expect_equal(actual: _Played, first: _Played, when: str) -> None:
 
 
 def _check_simulated(resolved: Resolved, first: _Played, schedules: int) -> None:
-    world = simulation.World.of(resolved)
+    world = simulation.SimulatedWorld.of(resolved)
     if resolved.mode == "lockstep":
         outcome = simulation.undisturbed(world)
         streams = {key: hashlib.sha256(b"".join(messages)).digest() for key, messages in first.messages.items()}

@@ -15,7 +15,7 @@ from mast_zenoh.tracking.covariances import MAX_VARIANCE, MIN_VARIANCE
 from mast_zenoh.tracking.tracks import ODDS, XX, XY, YY, classes_of, known_class, planar
 
 
-class Measured(NamedTuple):
+class MeasurementBatch(NamedTuple):
     """m measurements.
 
     row: (m,) int64, row in the input
@@ -31,14 +31,14 @@ class Measured(NamedTuple):
     score: Floats
 
     @classmethod
-    def detections(cls, d: Detections, variance: Floats) -> Measured:
+    def detections(cls, d: Detections, variance: Floats) -> MeasurementBatch:
         """Measurements of boxes; variance: (6,) defaults for unspecified noise."""
         order = row_order(d.position[:, 0], ties=lambda: (d.score, d.class_id, *d.size.T, d.yaw, *d.position.T[:0:-1]))
         columns = d.position, d.size, d.yaw, d.class_id, d.score, d.covariance
         return cls(order, *ordered_boxes(order, columns, variance, MIN_VARIANCE, MAX_VARIANCE))
 
     @classmethod
-    def states(cls, s: ObjectStates) -> Measured:
+    def states(cls, s: ObjectStates) -> MeasurementBatch:
         """Measurements of full states."""
         order = row_order(s.id, s.position[:, 0])
         state = np.concatenate([s.position, s.size, s.velocity], axis=1).take(order, 0)
@@ -50,7 +50,7 @@ class Measured(NamedTuple):
 def ordered_boxes(
     order: Ints, columns: tuple[Any, ...], variance: Floats, least: float, most: float
 ) -> tuple[Floats, Floats, Floats, Ints, Floats]:
-    """The fields of `Measured` of m boxes, except `row`: the rows `order` of n boxes.
+    """The fields of `MeasurementBatch` of m boxes, except `row`: the rows `order` of n boxes.
 
     columns: position, size (n, 3) m, yaw (n,) rad, class_id (n,) uint8, score (n,) and position covariance (n, 3, 3)
         m^2, all zero if unknown
@@ -143,7 +143,7 @@ class Pairs(NamedTuple):
     cost: Floats
 
 
-def near_pairs(tracks: Floats, detected: Floats, measured: Measured, model: AssociationModel) -> Pairs:
+def near_pairs(tracks: Floats, detected: Floats, measured: MeasurementBatch, model: AssociationModel) -> Pairs:
     """Pairs of n tracks and m measurements within the gate, sorted by track.
 
     detected: (n,) probability of detection
@@ -182,7 +182,7 @@ def gated_pairs(
 ) -> tuple[Ints, Ints, Floats, Floats, Floats]:
     """Select p candidate pairs within the gate; the result are the fields of `Pairs`.
 
-    boxes: `state`, `noise` and `class_id` of `Measured`
+    boxes: `state`, `noise` and `class_id` of `MeasurementBatch`
     near: (p,) rows of tracks and of measurements, and offsets in x and y from track to measurement, m
     """
     i, j, dx, dy = near

@@ -16,7 +16,7 @@ from mast_zenoh.tracking.association import (
     AssociationModel,
     BipartiteAssignment,
     Match,
-    Measured,
+    MeasurementBatch,
     gaussian,
     near_pairs,
 )
@@ -94,7 +94,7 @@ def new_tracks(
 ) -> Floats:
     """New tracks (k, WIDTH) for the measurements that are not explained (m,).
 
-    measured: the fields of `Measured`
+    measured: the fields of `MeasurementBatch`
     constants: yaw_variance, odds and FIRST_DUE; speed: `classes.FIRST_SPEED`, where velocities are not measured
     """
     row, state, noise, yaw, class_id, score = (column[~explained] for column in measured)
@@ -123,7 +123,7 @@ def matched_tracks(
     """The k matched ones of n tracks and their measurements, ready for the Kalman correction.
 
     match: rows of the tracks and of the measurements, log density ratios to clutter, and variances of jumps m^2: (k,)
-    detected: (n,) detection probabilities; measured: the fields of `Measured`
+    detected: (n,) detection probabilities; measured: the fields of `MeasurementBatch`
     yaw_variance: rad^2, of a measured heading; most: upper limit of the odds
     correlated: whether the errors of measured full states are those of the tracks: covariances are wider, see `widen`
 
@@ -332,7 +332,7 @@ class KalmanBoxTracker3D(Tracker):
         return t[:, tracks.ID].astype(np.int64), t[:, ROW].astype(np.int64)
 
     def step(self, time_ns: int, detections: Detections, view: SensorView | None = None) -> ObjectStates:
-        measurements = Measured.detections(detections, self._noise.variance)
+        measurements = MeasurementBatch.detections(detections, self._noise.variance)
         self._advance(time_ns)
         t = self._tracks
         of_sensor = None if view is None else view.detection_probability
@@ -360,7 +360,7 @@ class KalmanBoxTracker3D(Tracker):
         return self._states(reported, self._evidence.probability(reported), self._min_probability)
 
     def step_states(self, time_ns: int, measured: ObjectStates) -> ObjectStates:
-        measurements = Measured.states(measured)
+        measurements = MeasurementBatch.states(measured)
         self._advance(time_ns)
         t = self._tracks
         detected = np.full(len(t), self._report_probability)
@@ -396,7 +396,7 @@ class KalmanBoxTracker3D(Tracker):
                 self._process_noise = (dt, noise)
             self.filter.predict(t, dt, self._process_noise[1])
 
-    def _associate(self, measurements: Measured, detected: Floats) -> Match:
+    def _associate(self, measurements: MeasurementBatch, detected: Floats) -> Match:
         """Assign m measurements to n tracks; detected: (n,) detection probabilities."""
         pairs = near_pairs(self._tracks, detected, measurements, self._model)
         chosen = self._assignment.match(pairs.track, pairs.measurement, pairs.cost)
@@ -407,7 +407,7 @@ class KalmanBoxTracker3D(Tracker):
         return Match(i, j, log_ratio, jump, pairs, contested)
 
     def _matched_tracks(
-        self, match: Match, measurements: Measured, detected: Floats
+        self, match: Match, measurements: MeasurementBatch, detected: Floats
     ) -> tuple[Floats, Floats, Floats, Floats, tuple[float, int]]:
         """The matched tracks before the Kalman correction, and their measurements, see `matched_tracks`."""
         pairs, correlated = (match.track, match.measurement, match.log_ratio, match.jump), not self.independent_states
@@ -423,7 +423,7 @@ class KalmanBoxTracker3D(Tracker):
         seen = np.ones(len(boxes)) if view is None else view.visible_fraction(boxes, occluders)
         existence.update_missed(self._tracks, detected, coasting, seen, self._birth_odds)
 
-    def _created(self, match: Match, measurements: Measured) -> Floats:
+    def _created(self, match: Match, measurements: MeasurementBatch) -> Floats:
         """New tracks for the measurements that neither match nor duplicate a matched object."""
         explained = np.zeros(len(measurements.row), bool)
         explained[match.measurement] = True

@@ -18,7 +18,7 @@ from stonesoup.types.track import Track
 
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASSES, COVARIANCE_ORDER, Floats, Ints, ObjectStates
-from mast_zenoh.tracking.association import Measured
+from mast_zenoh.tracking.association import MeasurementBatch
 
 _EPOCH = datetime(1970, 1, 1)
 #: (m/s)^2 horizontally and vertically: variances of a velocity that was not measured.
@@ -43,7 +43,9 @@ class NumberedDetection(Detection):
         return int(self.metadata["order"])
 
 
-def detections_of(time_ns: int, step: int, measured: Measured, score: Floats, state: Sequence[str]) -> list[Detection]:
+def detections_of(
+    time_ns: int, step: int, measured: MeasurementBatch, score: Floats, state: Sequence[str]
+) -> list[Detection]:
     """Stone Soup's detections (m) of measurements, each with its own measurement model.
 
     step: number of the tracker's step; score: (m,); state: components of the tracker's state vector

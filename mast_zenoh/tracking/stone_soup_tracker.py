@@ -14,7 +14,7 @@ import numpy as np
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import COVARIANCE_ORDER, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, nearest
-from mast_zenoh.tracking.association import Measured
+from mast_zenoh.tracking.association import MeasurementBatch
 from mast_zenoh.tracking.base import Tracker
 from mast_zenoh.tracking.view import SensorView
 
@@ -81,12 +81,12 @@ class StoneSoupTracker(Tracker):
         return self._matched
 
     def step(self, time_ns: int, detections: Detections, view: SensorView | None = None) -> ObjectStates:
-        return self._step(time_ns, Measured.detections(detections, self._variance), detections.score)
+        return self._step(time_ns, MeasurementBatch.detections(detections, self._variance), detections.score)
 
     def step_states(self, time_ns: int, measured: ObjectStates) -> ObjectStates:
-        return self._step(time_ns, Measured.states(measured), measured.score)
+        return self._step(time_ns, MeasurementBatch.states(measured), measured.score)
 
-    def _step(self, time_ns: int, measured: Measured, score: Floats) -> ObjectStates:
+    def _step(self, time_ns: int, measured: MeasurementBatch, score: Floats) -> ObjectStates:
         if self._time_ns is not None and time_ns < self._time_ns:
             raise ValueError(f"time_ns of a step: found {time_ns}, expected at least {self._time_ns}, the previous one")
         self._time_ns = time_ns

@@ -229,7 +229,7 @@ class CpmGeneration(GenerationRules):
         first = np.lexsort((objects.id[rows], -self._utility(perception.quality, change)[rows], ~change.new[rows]))
         return rows[first[: self.most_objects]]
 
-    def _utility(self, quality: Ints, change: Changes) -> Floats:
+    def _utility(self, quality: Ints, change: ChangesSinceSent) -> Floats:
         """(n,) how useful objects are, 0 to 5."""
         return (
             quality / MAX_QUALITY
@@ -247,7 +247,7 @@ def _ramp(value: Floats, limits: Sequence[float]) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Changes:
+class ChangesSinceSent:
     """How n objects differ from what was last sent of them; all 0 for new ones.
 
     new: (n,) whether they were never sent
@@ -273,11 +273,11 @@ class SentObjects(ObjectTable):
         super().__init__(*columns, most=most)
         self._direction_sigmas = direction_sigmas
 
-    def changes(self, objects: ObjectStates, time_ns: int) -> Changes:
+    def changes(self, objects: ObjectStates, time_ns: int) -> ChangesSinceSent:
         """How objects differ from what was last sent; the direction of one that does not move, not at all."""
         last, known = self.read(objects.id)
         turned = np.nan_to_num(wrap_angle(_direction(objects, self._direction_sigmas) - last["direction"]))
-        return Changes(
+        return ChangesSinceSent(
             ~known,
             np.where(known, np.linalg.norm(objects.position - last["position"], axis=1), 0.0),
             np.where(known, np.abs(_speed(objects) - last["speed"]), 0.0),

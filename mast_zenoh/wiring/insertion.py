@@ -20,7 +20,7 @@ _NAME = re.compile(r"[A-Za-z0-9_.\-]+")
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class InsertionPoint:
     """Where a node is inserted into a running mesh.
 
     wire:  key of the wire that it interposes;  input, output: its ports on that wire
@@ -37,7 +37,7 @@ class Place:
     before: str = ""
 
 
-def insert(wiring: Wiring, node: str, place: Place) -> Wiring:
+def insert(wiring: Wiring, node: str, place: InsertionPoint) -> Wiring:
     """The wiring with `node` inserted into a wire.
 
     Raises WiringError for an unknown wire, a node that is on it already, a subscriber or a listener at the source that
@@ -128,7 +128,7 @@ def parties(wire: Wire) -> set[str]:
     return {leg.publisher.node for leg in legs} | {end.node for leg in legs for end in wire.receivers(leg)}
 
 
-def _extended(wire: Wire, legs: tuple[Leg, ...], taps: str, node: str, place: Place) -> tuple[Leg, ...]:
+def _extended(wire: Wire, legs: tuple[Leg, ...], taps: str, node: str, place: InsertionPoint) -> tuple[Leg, ...]:
     """A trunk or a branch with a node at its end. taps: the keys of its tap legs, without their numbers"""
     *before, last = legs
     taken = {leg.key for leg in wire.every_leg}

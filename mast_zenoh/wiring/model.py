@@ -245,7 +245,7 @@ class Ports:
 
 
 @dataclass(frozen=True, slots=True)
-class Passage:
+class InterposedWire:
     """An interposer's two keys on one wire: for received and for forwarded messages.
 
     wire, subject, message: of the wire, see `Wire`; port: the output port of the wire's publisher
@@ -289,7 +289,7 @@ class Wiring:
             for leg in wire.every_leg:
                 yield wire, leg
 
-    def passages(self) -> Iterator[Passage]:
+    def passages(self) -> Iterator[InterposedWire]:
         """Yield each interposer's passage through each of its wires, in order."""
         for wire in self.wires:
             ends = [("", leg) for leg in wire.legs]
@@ -383,11 +383,11 @@ class Wiring:
 NO_WIRING = Wiring(())
 
 
-def _passages(wire: Wire, legs: Sequence[tuple[str, Leg]]) -> Iterator[Passage]:
+def _passages(wire: Wire, legs: Sequence[tuple[str, Leg]]) -> Iterator[InterposedWire]:
     """The passages between consecutive legs, each with its only subscriber or ""."""
     for (_, into), (before, out) in pairwise(legs):
         of_wire = wire.key, wire.subject, wire.message, wire.legs[0].publisher.port
-        yield Passage(out.publisher.node, *of_wire, into.key, out.key, before)
+        yield InterposedWire(out.publisher.node, *of_wire, into.key, out.key, before)
 
 
 def _wire_of(data: Mapping[str, Any]) -> Wire:

@@ -317,13 +317,13 @@ from __future__ import annotations
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
-from mast_zenoh.control.codec import Message, converted
+from mast_zenoh.control.codec import ControlMessage, converted
 
 def new_types():
-    class Part(Message, frozen=True):
+    class Part(ControlMessage, frozen=True):
         numbers: list[int]
         by_name: dict[str, int]
-    class Whole(Message, frozen=True):
+    class Whole(ControlMessage, frozen=True):
         part: Part
         parts: list[Part]
         rate: float

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import files
-from mast_zenoh.control.codec import Message
+from mast_zenoh.control.codec import ControlMessage
 from mast_zenoh.errors import RunError
 from mast_zenoh.launch.file_server import files_for_node, with_local_imports
 from mast_zenoh.run_folder.recording.writer import MessageLog
@@ -60,7 +60,7 @@ class Launcher(FileClient):
         super().__init__(None, "run", "node")  # type: ignore[arg-type]
         self.path = path
 
-    def ask(self, what: str, request: Message, seconds: float, kind: type[Any]) -> Any:
+    def ask(self, what: str, request: ControlMessage, seconds: float, kind: type[Any]) -> Any:
         is_clock = isinstance(request, files.Clock)
         return files.LauncherTime(time.time_ns()) if is_clock else files.NodeFiles({self.path: 0}, [])
 

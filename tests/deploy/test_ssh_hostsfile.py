@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mast_zenoh.config.bundle import ROOT
 from mast_zenoh.config.resolved import NodeSpec
-from mast_zenoh.deploy.ssh.hostsfile import LAUNCHER, Hosts, parse, read
+from mast_zenoh.deploy.ssh.hostsfile import LAUNCHER, HostsFile, parse, read
 from mast_zenoh.errors import ConfigurationError
 
 TWO = '[hosts.alpha]\naddress = "a"\n[hosts.beta]\naddress = "b"\n'
@@ -73,7 +73,7 @@ def test_an_invalid_file_is_refused_with_the_location_of_the_fault(text: str, ex
 def test_any_text_is_read_or_refused(text: str) -> None:
     error_message = "h.toml: "
     try:
-        assert isinstance(parse(text, "h.toml"), Hosts)
+        assert isinstance(parse(text, "h.toml"), HostsFile)
     except ConfigurationError as error:
         error_message = str(error)
     assert error_message.startswith("h.toml: ")

@@ -14,9 +14,9 @@ from launched import eventually
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.deploy import documents
 from mast_zenoh.deploy.compose import Compose, Containers, connected_as
-from mast_zenoh.deploy.ssh.attachment import Attachment
+from mast_zenoh.deploy.ssh.attachment import WardenAttachment
 from mast_zenoh.deploy.ssh.engine import RemoteNodes
-from mast_zenoh.deploy.ssh.hostsfile import Host, Hosts, Router
+from mast_zenoh.deploy.ssh.hostsfile import HostsFile, Router, SshHost
 from mast_zenoh.errors import EngineError
 
 RUN = "uncoordinated-00c0ffee"
@@ -111,11 +111,11 @@ def test_a_container_is_reconnected_with_its_former_addresses() -> None:
 # -- hosts -------------------------------------------------------------------------------------------------------
 
 
-class Alpha(Attachment):
+class Alpha(WardenAttachment):
     """A connection to a host that answers at once; the test sets its processes."""
 
     def __init__(self) -> None:
-        self.host = Host(name="alpha", address="192.0.2.1")
+        self.host = SshHost(name="alpha", address="192.0.2.1")
         self.gone = False
         self.exits: dict[str, int] = {}
 
@@ -132,7 +132,7 @@ class Alpha(Attachment):
 def test_a_router_that_ended_on_a_host_is_named_with_its_host_instead_of_a_node(tmp_path: Path) -> None:
     alpha, specs = Alpha(), {"broker": SPEC, "ego": SPEC}
     with ExitStack() as stack:
-        hosts = Hosts("hosts.toml", {"alpha": alpha.host}, Router("alpha"))
+        hosts = HostsFile("hosts.toml", {"alpha": alpha.host}, Router("alpha"))
         nodes = RemoteNodes(hosts, context(tmp_path, nodes=specs), stack)
         nodes.attachments, nodes.router_start = {"alpha": alpha}, (alpha, "1")
         nodes._command = lambda node, host: {}  # type: ignore[method-assign]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh.driving.followers import Onset, behind, behind_car, shock_wave
-from mast_zenoh.metrics.driving import RoadUsers, Vehicle
+from mast_zenoh.metrics.driving import RoadUsers, VehicleCourse
 from tests.driving.test_what_happened_to_cars import SIZE, car, objects
 
 
@@ -28,7 +28,7 @@ def test_who_is_behind_in_the_lane_and_points_the_same_way() -> None:
 def test_the_lane_behind_a_car_that_turned_is_the_bend_that_it_drove() -> None:
     angle = np.linspace(0.0, np.pi / 2.0, 40)
     position = np.column_stack([20.0 * np.sin(angle), 20.0 * (1.0 - np.cos(angle)), np.zeros(40)])
-    own = Vehicle(position, np.tile([10.0, 0.0, 0.0], (40, 1)), angle, *SIZE)
+    own = VehicleCourse(position, np.tile([10.0, 0.0, 0.0], (40, 1)), angle, *SIZE)
     there, straight_on = (39, 20.0 * np.sin(0.7), 20.0 * (1.0 - np.cos(0.7)), 0.7), (39, 30.0, 0.0, 0.0)
     assert np.isfinite(behind(own, objects([there, straight_on]))).tolist() == [True, False]
 

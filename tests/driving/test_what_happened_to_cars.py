@@ -16,17 +16,17 @@ from mast_zenoh.driving.consequences import DrivenCar, consequences, uncomfortab
 from mast_zenoh.driving.contact import collisions
 from mast_zenoh.driving.corridor import in_corridor, needed_braking
 from mast_zenoh.driving.motion import RouteAhead
-from mast_zenoh.metrics.driving import Driving, RoadUsers, SafeDistance, Vehicle, time_to_collision
+from mast_zenoh.metrics.driving import Driving, RoadUsers, SafeDistance, VehicleCourse, time_to_collision
 
 SIZE = (4.5, 1.9)
 
 
-def car(x: list[float], speed: list[float]) -> Vehicle:
+def car(x: list[float], speed: list[float]) -> VehicleCourse:
     """A car that drives east."""
     n = len(x)
     position, velocity = np.zeros((n, 3)), np.zeros((n, 3))
     position[:, 0], velocity[:, 0] = x, speed
-    return Vehicle(position, velocity, np.zeros(n), *SIZE)
+    return VehicleCourse(position, velocity, np.zeros(n), *SIZE)
 
 
 def objects(rows: list[tuple[int, float, float, float]]) -> RoadUsers:
@@ -119,7 +119,7 @@ def straight(x: float, stop_m: float = math.inf, limit: float = 50.0) -> RouteAh
     return RouteAhead(np.column_stack([x + np.arange(80.0), np.zeros(80)]), np.full(80, limit), stop_m)
 
 
-def driven(own: Vehicle, others: RoadUsers, ids: list[int], **known: object) -> DrivenCar:
+def driven(own: VehicleCourse, others: RoadUsers, ids: list[int], **known: object) -> DrivenCar:
     """A car in frames from 10, 0.1 s apart, on a straight road, whose driver knows what is there."""
     n = len(own.heading)
     order = np.argsort(others.frame, kind="stable")
@@ -144,7 +144,7 @@ def driven(own: Vehicle, others: RoadUsers, ids: list[int], **known: object) -> 
     )
 
 
-def of(own: Vehicle, others: RoadUsers, ids: list[int], **known: object) -> dict:
+def of(own: VehicleCourse, others: RoadUsers, ids: list[int], **known: object) -> dict:
     return consequences(driven(own, others, ids, **known))
 
 
@@ -223,7 +223,7 @@ def test_near_misses_are_objects_that_were_not_hit() -> None:
 def test_uncomfortable_times_are_those_of_differences_smoothed_by_scipy(rows: list) -> None:
     speed, heading = np.array(rows).T
     velocity = np.column_stack([speed * np.cos(heading), speed * np.sin(heading), np.zeros(len(rows))])
-    own = Vehicle(np.zeros((len(rows), 3)), velocity, heading, *SIZE)
+    own = VehicleCourse(np.zeros((len(rows), 3)), velocity, heading, *SIZE)
     change = np.diff(velocity[:, :2], axis=0) / 0.1
     direction = np.column_stack([np.cos(heading), np.sin(heading)])[:-1]
     forward = np.array([a @ b for a, b in zip(change, direction, strict=True)])

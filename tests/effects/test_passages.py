@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.effects.passages import KNOWN_FRAMES, LATEST, REMEMBERED, Interval, PassageMeter
+from mast_zenoh.effects.passages import KNOWN_FRAMES, LATEST, REMEMBERED, FrameSpan, PassageMeter
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, text
-from mast_zenoh.wiring.model import Input, Passage
+from mast_zenoh.wiring.model import Input, InterposedWire
 from mast_zenoh.wiring.received import Overheard
 
 PERIOD_NS = 100_000_000
@@ -19,8 +19,8 @@ WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
 
 
 def meter(message: str = "tracks") -> PassageMeter:
-    passage = Passage("mallory", f"agent/a/{message}", "a", message, message, "in", "out")
-    return PassageMeter(passage, Interval(0))
+    passage = InterposedWire("mallory", f"agent/a/{message}", "a", message, message, "in", "out")
+    return PassageMeter(passage, FrameSpan(0))
 
 
 def tracks(frame: int, *, seq: int | None = None, x: float = 0.0, time_ns: int | None = None, step: int | None = None):

@@ -15,7 +15,7 @@ from observed_run import PERIOD_NS, Arrival, Decoded, ObservedRun, SentCopy
 
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Message
-from mast_zenoh.wiring.model import Passage
+from mast_zenoh.wiring.model import InterposedWire
 
 NAN3 = (math.nan, math.nan, math.nan)
 #: Pose of an agent in a frame: position and rotation matrix.
@@ -49,7 +49,12 @@ def expected(process: ObservedRun, frames: int) -> list[Row]:
 
 
 def _of_passage(
-    process: ObservedRun, passage: Passage, arrivals: list[Arrival], forged: list[SentCopy], last: int, poses: Poses
+    process: ObservedRun,
+    passage: InterposedWire,
+    arrivals: list[Arrival],
+    forged: list[SentCopy],
+    last: int,
+    poses: Poses,
 ) -> Iterator[Row]:
     numbered: dict[tuple[int, int], tuple[list[tuple[Arrival, Decoded]], list[tuple[SentCopy, Decoded]]]] = {}
     damaged: list[tuple[Arrival, SentCopy]] = []
@@ -132,7 +137,7 @@ def _renumbered(one: Decoded, other: Decoded) -> bool:
 
 
 def _changes(
-    passage: Passage, arrival: Arrival, before: Decoded, sent: SentCopy, after: Decoded, poses: Poses
+    passage: InterposedWire, arrival: Arrival, before: Decoded, sent: SentCopy, after: Decoded, poses: Poses
 ) -> Iterator[Row]:
     """The differences between a message and its relayed version."""
     if _same(arrival.content, sent.content):

@@ -14,7 +14,7 @@ from mast_zenoh.messages.schemas import Body, Header, Message
 from mast_zenoh.node import Received
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.wiring.model import Passage
+from mast_zenoh.wiring.model import InterposedWire
 
 PERIOD_NS = 100_000_000
 
@@ -37,7 +37,7 @@ class SentCopy(NamedTuple):
 class Arrival:
     """A message sent to an interposer: passage, content, frame and relayed copies."""
 
-    passage: Passage
+    passage: InterposedWire
     content: bytes | Message
     step: int
     flaw: str
@@ -56,9 +56,9 @@ class ObservedRun(InProcess):
 
     def __init__(self, resolved: Any, **options: Any) -> None:
         self.arrivals: list[Arrival] = []
-        self.forgeries: list[tuple[Passage, SentCopy]] = []
+        self.forgeries: list[tuple[InterposedWire, SentCopy]] = []
         self.poses: dict[tuple[str, int], tuple[np.ndarray, np.ndarray]] = {}
-        self._passages_by_key: dict[str, list[Passage]] = {}
+        self._passages_by_key: dict[str, list[InterposedWire]] = {}
         self._pose_of: dict[str, str] = {}
         super().__init__(resolved, **options)
         self.sources = {wire.key: wire.legs[0].publisher.node for wire in self._wiring.wires}
@@ -67,7 +67,7 @@ class ObservedRun(InProcess):
         for passage in self.passages:
             self._passages_by_key.setdefault(passage.received, []).append(passage)
 
-    def read(self, passage: Passage, content: bytes | Message, flaw: str = "") -> Decoded:
+    def read(self, passage: InterposedWire, content: bytes | Message, flaw: str = "") -> Decoded:
         """The content of a message as subscribers of a wire decode it."""
         header = None
         try:
@@ -102,7 +102,7 @@ class ObservedRun(InProcess):
             self._record_calls(host, passages)
         return host
 
-    def _record_calls(self, host: Host, passages: list[Passage]) -> None:
+    def _record_calls(self, host: Host, passages: list[InterposedWire]) -> None:
         """Record every call of relay and publish on the context of a node."""
         relay, publish, send_payload = host.relay, host.publish, host._send_payload
         payloads: list[tuple[bytes | Message, float]] = []

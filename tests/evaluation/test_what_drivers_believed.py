@@ -10,16 +10,16 @@ import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.driving.motion import CarLimits, Command, RouteAhead
-from mast_zenoh.effects.passages import Interval, PassageMeter
+from mast_zenoh.effects.passages import FrameSpan, PassageMeter
 from mast_zenoh.evaluation import Evaluation, RunData, RunScoring
-from mast_zenoh.evaluation.driven import Arrival, Heard, View
+from mast_zenoh.evaluation.driven import ArrivedEstimate, Heard, OwnView
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
 from mast_zenoh.metrics import Record, Scorer, Series
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.tracking.view import SensorView
-from mast_zenoh.wiring.model import Input, Passage
+from mast_zenoh.wiring.model import Input, InterposedWire
 from mast_zenoh.wiring.received import Overheard
 from tests.support.wirings import wiring_of
 
@@ -81,9 +81,11 @@ def happened(
     """
     data = RunData(Record(("ego",)), roles={"seizer": "adversary", "liar": "adversary"})
     passage = PassageMeter(
-        Passage("seizer", "agent/ego/command", "ego", "command", "command", "in", "out"), Interval(0)
+        InterposedWire("seizer", "agent/ego/command", "ego", "command", "command", "in", "out"), FrameSpan(0)
     )
-    picture = PassageMeter(Passage("liar", "cc/picture", "", "picture", "picture", "a", "b", "ego"), Interval(0))
+    picture = PassageMeter(
+        InterposedWire("liar", "cc/picture", "", "picture", "picture", "a", "b", "ego"), FrameSpan(0)
+    )
     data.meter.meters.extend([passage, picture])
     data.influences.follow(wiring_of(["ego"]))
     received = Heard(ports={"safety", "mission", "view"} if veto else {"mission"})
@@ -110,7 +112,7 @@ def happened(
             snapshot = Snapshot.of(estimates[port])
             data.record.add(frame, [Series("ego", name)], snapshot, frame, time_ns)
             if port in received.ports and frame < estimates_until:
-                received.add(port, frame, Arrival(frame, time_ns, name, snapshot))
+                received.add(port, frame, ArrivedEstimate(frame, time_ns, name, snapshot))
         sent = -50.0 if frame >= absurd_from else to_mps2 if frame in changed else 0.0
         received.wanted[frame] = 0.0
         passage.take_received(command(frame, 0.0))
@@ -119,7 +121,7 @@ def happened(
         if frame < min(commands_until, dropped_from):
             received.obey(frame + late, frame, Command(sent, 0.0))
         if free_m is not None:
-            received.see(frame, View(frame, time_ns, around(float(x), free_m)))
+            received.see(frame, OwnView(frame, time_ns, around(float(x), free_m)))
     evaluation = Evaluation(scorer=Scorer(), skip_first=0, skip_last=0, picture_age_s=0.5, **settings)
     return RunScoring(evaluation, data).results()["metrics"]["driven"]["ego"]
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from mast_zenoh import links
 from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.faults import Fault, Loss, Plan, ProcessStep, plan
+from mast_zenoh.faults import Fault, FaultPlan, Loss, ProcessStep, plan
 from mast_zenoh.faults.plan import draw_agents, frame_at
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
@@ -41,7 +41,7 @@ CARRIERS = {
 }
 
 
-def planned(*specs: dict[str, Any], seed: int = 0, lockstep: bool = True, times_ns: np.ndarray = TIMES_NS) -> Plan:
+def planned(*specs: dict[str, Any], seed: int = 0, lockstep: bool = True, times_ns: np.ndarray = TIMES_NS) -> FaultPlan:
     faults = [(f"mine.py: faults[{i}]", registry.build(s, Fault, f"mine.py: faults[{i}]")) for i, s in enumerate(specs)]
     return plan(faults, ROLES, times_ns, seed, lockstep=lockstep, carriers=lambda: CARRIERS)
 
@@ -425,7 +425,7 @@ PARAMETERS = sorted({name for cls in KINDS.values() for name in inspect.signatur
     st.booleans(),
 )
 def test_every_list_of_faults_is_planned_or_refused(specs: list[dict[str, Any]], lockstep: bool) -> None:
-    refused, fault_plan = "", Plan()
+    refused, fault_plan = "", FaultPlan()
     try:
         fault_plan = planned(*specs, lockstep=lockstep)
     except ConfigurationError as error:

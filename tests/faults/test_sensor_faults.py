@@ -12,7 +12,7 @@ from tiny_world import Run, tiny
 from mast_zenoh.arrays.states import Detections
 from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.faults import Fault, Plan, plan
+from mast_zenoh.faults import Fault, FaultPlan, plan
 from mast_zenoh.sensing import sensor_pose, to_world
 
 ROLES = {"simulator": "simulator", "ego": "agent", "infra_1": "agent", "broker": "broker", "adversary_1": "adversary"}
@@ -26,7 +26,7 @@ GHOST = dict(type="GhostDetections", at=0.3, until=0.8, places=[(20.0, 15.0, 0.7
 SOURCE, KEY = "agent/ego/detections/@tap/0", "agent/ego/detections"
 
 
-def planned(*specs: Mapping[str, Any]) -> Plan:
+def planned(*specs: Mapping[str, Any]) -> FaultPlan:
     faults = [(f"faults[{i}]", registry.build(spec, Fault, f"faults[{i}]")) for i, spec in enumerate(specs)]
     return plan(faults, ROLES, np.arange(20) * 100_000_000, 0, lockstep=True, carriers=lambda: CARRIERS)
 

@@ -94,7 +94,7 @@ def ordered_boxes(random, n, m):
 
 
 def measured(random, n):
-    """The fields of `Measured`."""
+    """The fields of `MeasurementBatch`."""
     k = random.choice([6, 9])
     columns = random.permutation(n), random.normal(size=(n, k)), covariances(random, n, k)
     return *columns, random.uniform(-9, 9, n), random.integers(0, 7, n), random.random(n)

@@ -10,7 +10,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_yaw
 from mast_zenoh.arrays.states import Detections
 from mast_zenoh.config import registry
-from mast_zenoh.links import Chain, Outcome, Passage, Rule, SenderPose, Sensed
+from mast_zenoh.links import Chain, Passage, PassageOutcome, Rule, SenderPose, Sensed
 from mast_zenoh.streams import stream
 
 PERIOD_NS = 100_000_000
@@ -50,17 +50,17 @@ def chain(rules: Sequence[dict[str, Any]], seed: int = 0) -> Chain:
 
 def carry(
     rules: Sequence[dict[str, Any]], count: int, *, seed: int = 0, every_ns: int = PERIOD_NS, **fields: Any
-) -> list[Outcome]:
+) -> list[PassageOutcome]:
     """The outcomes of `count` messages, one every `every_ns`."""
     wire = chain(rules, seed)
     return [wire.carry(Passage(i * every_ns, i * every_ns, **fields)) for i in range(count)]
 
 
-def arrived(outcomes: Sequence[Outcome]) -> np.ndarray:
+def arrived(outcomes: Sequence[PassageOutcome]) -> np.ndarray:
     """(n,) bool: which messages arrived."""
     return np.array([bool(outcome.leaving) for outcome in outcomes])
 
 
-def delays(outcomes: Sequence[Outcome]) -> np.ndarray:
+def delays(outcomes: Sequence[PassageOutcome]) -> np.ndarray:
     """(n,) s: the delay of each copy that arrived."""
     return np.array([delay_s for outcome in outcomes for _, delay_s in outcome.leaving])

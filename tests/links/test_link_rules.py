@@ -16,7 +16,7 @@ from mast_zenoh import links
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.links import FATES, PROFILES, Outcome, Passage, Rule, displaced, flipped, profile
+from mast_zenoh.links import FATES, PROFILES, Passage, PassageOutcome, Rule, displaced, flipped, profile
 
 #: One valid dict of every rule.
 RULES: dict[str, dict[str, Any]] = {
@@ -45,7 +45,7 @@ def test_every_rule_is_tested_and_declares_its_fate() -> None:
         assert build(type=name, **parameters).fate in FATES
 
 
-def outcome_of(*rules: dict[str, Any], at_s: float = 0.0, **message: Any) -> Outcome:
+def outcome_of(*rules: dict[str, Any], at_s: float = 0.0, **message: Any) -> PassageOutcome:
     """The outcome of one message."""
     time_ns = round(at_s * 1e9)
     return chain(rules).carry(Passage(time_ns, time_ns, **message))

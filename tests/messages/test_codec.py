@@ -13,7 +13,7 @@ from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import MessageError
 from mast_zenoh.integrity.views import collated_columns
 from mast_zenoh.messages import codec, layout
-from mast_zenoh.messages.layout import Layout
+from mast_zenoh.messages.layout import BodyLayout
 from mast_zenoh.messages.schemas import SCHEMAS, Column, Header, Message, text
 
 finite = st.floats(-1e5, 1e5)
@@ -88,7 +88,7 @@ def test_messages_are_split_after_any_number_of_others_with_other_lengths(monkey
     payloads = [codec.encode(message_of("picture", {"n": n})) for n in range(8)]
     for payload in payloads + payloads[-1:]:
         codec.decode(payload, "picture")
-    monkeypatch.setattr(Layout, "unpack", lambda *_: pytest.fail("not split"))
+    monkeypatch.setattr(BodyLayout, "unpack", lambda *_: pytest.fail("not split"))
     codec.decode(payloads[-1], "picture")
 
 
@@ -133,7 +133,7 @@ def test_a_message_means_the_same_whether_one_of_its_length_was_decoded_before(
     payload[place : place + 1] = bytes([value]) * copies
     message = bytes(payload)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Layout, "split", lambda *_: None)
+        patch.setattr(BodyLayout, "split", lambda *_: None)
         expected = outcome(message)
     outcome(codec.encode(message_of("detections", {"n": 3}, seed=1)))
     assert outcome(message) == expected

@@ -17,7 +17,7 @@ from mast_zenoh.evaluation.estimate_wires import Influences
 from mast_zenoh.evaluation.from_effects import manipulations
 from mast_zenoh.metrics import AttributionLimits, Attributor, Boxes, Record, Scorer, Scores, Series, cause_names
 from mast_zenoh.metrics.record import Snapshot
-from mast_zenoh.wiring.model import Passage
+from mast_zenoh.wiring.model import InterposedWire
 from tests.support.wirings import wiring_of
 
 PERIOD_S = 0.1
@@ -65,11 +65,11 @@ def recorded(
 Row = tuple[str, int, str, int, tuple[float, float], tuple[float, float]]
 
 
-def passage(node: str, port: str = "tracks", subject: str = "infra_9", before: str = "") -> Passage:
+def passage(node: str, port: str = "tracks", subject: str = "infra_9", before: str = "") -> InterposedWire:
     """The position of an interposer on a wire."""
     key = {"collated": "cc/collated", "picture": "cc/picture", "clock": "clock"}.get(port, f"agent/{subject}/{port}")
     message = {"broadcast": "tracks"}.get(port, port)
-    return Passage(node, key, subject, message, port, f"{port}/in", f"{port}/out", before)
+    return InterposedWire(node, key, subject, message, port, f"{port}/in", f"{port}/out", before)
 
 
 def influences(agents: Sequence[str], *maps: str, peers: bool = False) -> Influences:
@@ -79,7 +79,7 @@ def influences(agents: Sequence[str], *maps: str, peers: bool = False) -> Influe
     return result
 
 
-def effects(*rows: Row, passages: Sequence[Passage] = (), of: Sequence[int] | None = None) -> Effects:
+def effects(*rows: Row, passages: Sequence[InterposedWire] = (), of: Sequence[int] | None = None) -> Effects:
     """Effects on objects. passages, of: their wires, by default of tracks."""
     nodes = sorted({row[0] for row in rows})
     ways = tuple(passages) or tuple(passage(node) for node in nodes)

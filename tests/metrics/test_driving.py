@@ -17,7 +17,7 @@ from mast_zenoh.metrics.driving import (
     RoadUsers,
     SafeDistance,
     TimeToCollision,
-    Vehicle,
+    VehicleCourse,
     time_to_collision,
 )
 
@@ -25,7 +25,7 @@ LENGTH, WIDTH = 4.5, 1.8
 PERIOD_S = 0.1
 
 
-def vehicle(radius_m: float = math.inf, speed: float = 10.0, frames: int = 100, heading: float = 0.3) -> Vehicle:
+def vehicle(radius_m: float = math.inf, speed: float = 10.0, frames: int = 100, heading: float = 0.3) -> VehicleCourse:
     """A vehicle that drives a circle to the left, or straight ahead."""
     way = np.arange(frames) * PERIOD_S * speed
     turn = heading + way / radius_m
@@ -34,7 +34,7 @@ def vehicle(radius_m: float = math.inf, speed: float = 10.0, frames: int = 100, 
     else:
         place = radius_m * np.column_stack([np.sin(turn) - math.sin(heading), math.cos(heading) - np.cos(turn)])
     velocity = speed * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(frames)])
-    return Vehicle(np.column_stack([place, np.zeros(frames)]), velocity, turn, LENGTH, WIDTH)
+    return VehicleCourse(np.column_stack([place, np.zeros(frames)]), velocity, turn, LENGTH, WIDTH)
 
 
 def objects(*rows: tuple[int, float, float, float, float, float], velocity=(0.0, 0.0)) -> RoadUsers:
@@ -50,7 +50,7 @@ def objects(*rows: tuple[int, float, float, float, float, float], velocity=(0.0,
     )
 
 
-def path_from(where: Vehicle, frame: int, horizon_m: float) -> LineString:
+def path_from(where: VehicleCourse, frame: int, horizon_m: float) -> LineString:
     """The path of a vehicle from a frame on, extended straight ahead."""
     last = where.heading[-1]
     end = where.position[-1, :2] + (horizon_m + LENGTH) * np.array([math.cos(last), math.sin(last)])

@@ -17,10 +17,10 @@ from mast_zenoh import replay
 from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, RunFolderError, WiringError
 from mast_zenoh.launch import liveness
 from mast_zenoh.messages import codec
-from mast_zenoh.run_folder.recording.format import REWIRED, Event
+from mast_zenoh.run_folder.recording.format import REWIRED, RecordedEvent
 from mast_zenoh.run_folder.recording.reader import Recorded, read
 from mast_zenoh.run_folder.recording.writer import MessageLog
-from mast_zenoh.wiring.insertion import Place, insert
+from mast_zenoh.wiring.insertion import InsertionPoint, insert
 from mast_zenoh.wiring.model import Wiring
 
 
@@ -110,13 +110,13 @@ def test_what_subscribers_received_is_played_though_a_node_came_during_the_run(
 ) -> None:
     wire, tap = "agent/infra_1/tracks", "agent/infra_1/tracks/@tap/0"
     before = Wiring.from_json(json.loads((copied / "wiring.json").read_text()))
-    after = insert(before, "mallory", Place(wire, "tracks", "tracks_out"))
+    after = insert(before, "mallory", InsertionPoint(wire, "tracks", "tracks_out"))
     messages = list(read(copied))
     (copied / "messages.mcap").unlink()
     log = MessageLog(copied / "messages.mcap")
     log.begin(after.ports("recorder").inputs)
-    log.add_event(Event(REWIRED, -1, wiring=before.to_json()))
-    log.add_event(Event(REWIRED, 7, wiring=after.to_json()))
+    log.add_event(RecordedEvent(REWIRED, -1, wiring=before.to_json()))
+    log.add_event(RecordedEvent(REWIRED, 7, wiring=after.to_json()))
     for message in messages:
         header = codec.decode_header(message.payload, message.message)
         for key in (message.key, tap) if message.key == wire and message.frame > 7 else (message.key,):

@@ -19,7 +19,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import NotComparable
 from mast_zenoh.launch import measurement, twin
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.replay.cut import Cut, Place, cut
+from mast_zenoh.replay.cut import Place, ReplayedMesh, cut
 from mast_zenoh.report import html
 from mast_zenoh.report.comparison import reference
 from mast_zenoh.report.narrative.run import result
@@ -30,8 +30,8 @@ from mast_zenoh.wiring.model import Wiring
 
 
 @pytest.fixture
-def divided(recorded: Callable[[str], Path]) -> Callable[[str, Place], Cut]:
-    def of(name: str, place: Place) -> Cut:
+def divided(recorded: Callable[[str], Path]) -> Callable[[str, Place], ReplayedMesh]:
+    def of(name: str, place: Place) -> ReplayedMesh:
         resolved = Resolved.read(recorded(name))
         return cut(Wiring.from_json(resolved.wiring), {n: spec.role for n, spec in resolved.nodes.items()}, place)
 
@@ -59,7 +59,7 @@ LINKS = {"link_ego", "link_infra_1", "link_infra_2"}
     ],
 )
 def test_nodes_are_divided_at_the_cut(
-    divided: Callable[[str, Place], Cut], name: str, place: Place, played: set[str], live: set[str]
+    divided: Callable[[str, Place], ReplayedMesh], name: str, place: Place, played: set[str], live: set[str]
 ) -> None:
     division = divided(name, place)
     assert division.played == played | {"simulator"}
@@ -76,7 +76,7 @@ def test_drivers_and_what_is_on_their_commands_are_played_as_the_truth_follows_f
     assert division.played == {"simulator", "driver_ego", "adversary_1", *agents}
 
 
-def test_what_depends_on_the_picture_is_left_out(divided: Callable[[str, Place], Cut]) -> None:
+def test_what_depends_on_the_picture_is_left_out(divided: Callable[[str, Place], ReplayedMesh]) -> None:
     wires = {wire.key: wire for wire in divided("lossy", "agents").wiring.wires}
     assert "agent/ego/mission" not in wires
     assert wires["cc/picture"].every_leg == wires["cc/picture"].legs
@@ -85,7 +85,7 @@ def test_what_depends_on_the_picture_is_left_out(divided: Callable[[str, Place],
 
 
 def test_players_receive_nothing_but_the_clock_and_the_ways_to_branches(
-    divided: Callable[[str, Place], Cut],
+    divided: Callable[[str, Place], ReplayedMesh],
 ) -> None:
     division = divided("lossy", "agents")
     for name in division.played:

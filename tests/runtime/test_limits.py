@@ -28,7 +28,7 @@ from mast_zenoh.runtime.protocol.traffic import (
     FOREIGN,
     MARK,
     MISDIRECTED,
-    Inbox,
+    EventInbox,
     Item,
     Outlets,
     stamp,
@@ -168,7 +168,7 @@ def test_each_source_has_exactly_its_room(steps: list[tuple[str, int, bool]]) ->
 
 def test_the_inbox_drops_and_counts_excess_messages_of_a_source() -> None:
     items: deque[Item] = deque()
-    inbox = Inbox(items.append, nullcontext(), Limit(3, 1000))
+    inbox = EventInbox(items.append, nullcontext(), Limit(3, 1000))
     for number in range(5):
         assert inbox.put_message("mallory", MessageEvent("bad", bytes(400), 7, number), 7) == (number < 2)
     good = MessageEvent("good", b"x", 7, 0)

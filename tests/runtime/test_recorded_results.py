@@ -17,7 +17,7 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import liveness, measurement
 from mast_zenoh.launch.measurement import results_of
 from mast_zenoh.report import html, terminal
-from mast_zenoh.run_folder.recording.format import REWIRED, Event
+from mast_zenoh.run_folder.recording.format import REWIRED, RecordedEvent
 from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.run_folder.tables import read_table
 
@@ -150,7 +150,7 @@ def test_an_invalid_wiring_in_a_recording_is_reported(tmp_path: Path, wiring: di
     resolved = scenario.resolve(*scenario.load("baseline"), frames=2)
     log = MessageLog(tmp_path / "messages.mcap")
     log.begin({})
-    log.add_event(Event(REWIRED, -1, wiring=wiring))
+    log.add_event(RecordedEvent(REWIRED, -1, wiring=wiring))
     log.close()
     with pytest.raises(RunFolderError, match=r"messages\.mcap: the wiring of frame -1"):
         results_of(resolved, "evaluator", tmp_path)

@@ -9,7 +9,7 @@ from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.driving import Driver, FollowingDriver, ProposalDriver, Situation
 from mast_zenoh.driving.contact import collisions
 from mast_zenoh.driving.proposals import OFFSETS_M
-from mast_zenoh.metrics.driving import RoadUsers, Vehicle
+from mast_zenoh.metrics.driving import RoadUsers, VehicleCourse
 from mast_zenoh.scenes import Intersection
 
 #: Frames of 0.1 s; the first ones are driven as in the prepared scene.
@@ -42,7 +42,7 @@ def test_cars_that_see_the_truth_of_a_frame_ago_hit_nothing_and_keep_to_their_la
         for row, agent in enumerate(present.agents):
             route, size = world.route(agent.name), world.size(agent.name)
             own, others = truth.id == agent.object_id, np.flatnonzero(truth.id != agent.object_id)
-            car = Vehicle(truth.position[own], truth.velocity[own], truth.yaw[own], *size.tolist())
+            car = VehicleCourse(truth.position[own], truth.velocity[own], truth.yaw[own], *size.tolist())
             columns = (truth.position, truth.velocity, truth.size, truth.yaw)
             objects = RoadUsers(np.zeros(len(others), np.int64), *(column[others] for column in columns))
             hit = truth.id[others][collisions(car, objects)]

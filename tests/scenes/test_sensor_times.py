@@ -13,7 +13,7 @@ import mast_zenoh as mast
 from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import Intersection, Recording
-from mast_zenoh.scenes.making.sensor_types import Schedule, regular_times
+from mast_zenoh.scenes.making.sensor_types import SensorSchedule, regular_times
 from mast_zenoh.scenes.recording import NO_MEASUREMENT
 from mast_zenoh.sensing import sensor_pose, to_world
 from mast_zenoh.testing import check_scene
@@ -51,7 +51,7 @@ def test_every_measurement_is_new_in_the_one_frame_at_or_after_it(
 ) -> None:
     period_ns = frame_ns * ratio // 1000
     times = start_ns + np.arange(frames, dtype=np.int64) * frame_ns
-    schedule = Schedule.regular(times, period_ns, int(phase * period_ns))
+    schedule = SensorSchedule.regular(times, period_ns, int(phase * period_ns))
     new = np.flatnonzero(schedule.source >= 0)
     due = range(start_ns + int(phase * period_ns), int(times[-1]) + 1, period_ns)
     assert schedule.time_ns[new].tolist() == list(due)
@@ -63,19 +63,19 @@ def test_every_measurement_is_new_in_the_one_frame_at_or_after_it(
 def test_a_sensor_at_half_the_rate_of_the_frames_measures_in_every_second_one() -> None:
     frame_ns = round(1e9 / 30.0)
     times = np.arange(2000, dtype=np.int64) * frame_ns
-    schedule = Schedule.regular(times, *regular_times("scene", frame_ns, 15.0, 0.0))
+    schedule = SensorSchedule.regular(times, *regular_times("scene", frame_ns, 15.0, 0.0))
     assert np.flatnonzero(schedule.source >= 0).tolist() == list(range(0, 2000, 2))
     assert schedule.time_ns[::2].tolist() == times[::2].tolist()
 
 
 def test_of_several_recorded_measurements_before_a_frame_the_newest_is_new() -> None:
     times = np.array([100, 200, 300])
-    schedule = Schedule.recorded(times, np.array([90, 120, 180, 305]), np.array([0, 0, 1, 2]))
+    schedule = SensorSchedule.recorded(times, np.array([90, 120, 180, 305]), np.array([0, 0, 1, 2]))
     assert schedule.source.tolist() == [-1, 1, -1]
     assert schedule.time_ns[1] == 180
-    early = Schedule.recorded(times, np.array([100, 190, 290]), np.array([0, 1, 2]))
+    early = SensorSchedule.recorded(times, np.array([100, 190, 290]), np.array([0, 1, 2]))
     assert early.before(2).source.tolist() == [0, 1]
-    ahead = Schedule.recorded(times, np.array([100, 110, 195]), np.array([0, 1, 2]))
+    ahead = SensorSchedule.recorded(times, np.array([100, 110, 195]), np.array([0, 1, 2]))
     assert ahead.source.tolist() == [0, 2, -1]
     assert ahead.before(2).source.tolist() == [0, -1], "frame 2 is not there"
 

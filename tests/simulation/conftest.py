@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 from small_worlds import small_worlds
 
-from mast_zenoh.testing.simulation import World
+from mast_zenoh.testing.simulation import SimulatedWorld
 from mast_zenoh.testing.simulation.promises import undisturbed
 
 
 @pytest.fixture(scope="session")
-def worlds() -> dict[str, World]:
+def worlds() -> dict[str, SimulatedWorld]:
     """By name; each has been played undisturbed."""
     worlds = small_worlds()
     for world in worlds.values():

@@ -8,7 +8,7 @@ import planted_bugs as bugs
 import pytest
 from planted_bugs import PLANTS, Plant
 
-from mast_zenoh.testing.simulation import Disturbance, Schedule, World, check, find, simplest
+from mast_zenoh.testing.simulation import Disturbance, Schedule, SimulatedWorld, check, find, simplest
 
 
 def schedule(seed: int, *disturbances: tuple[float, str, str, float], calm: bool = False) -> Schedule:
@@ -63,7 +63,7 @@ FOUND: list[tuple[Plant, str, Schedule]] = [
 
 @pytest.mark.parametrize(("plant", "name", "schedule"), FOUND, ids=lambda value: getattr(value, "__name__", ""))
 def test_a_schedule_that_once_broke_a_promise_breaks_none(
-    plant: Plant, name: str, schedule: Schedule, worlds: dict[str, World], monkeypatch: pytest.MonkeyPatch
+    plant: Plant, name: str, schedule: Schedule, worlds: dict[str, SimulatedWorld], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert check(worlds[name], schedule) == []
     plant(monkeypatch)
@@ -75,14 +75,16 @@ SEEDS = 1000
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("plant", PLANTS, ids=lambda plant: plant.__name__)
-def test_a_planted_bug_is_found(plant: Plant, worlds: dict[str, World], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_planted_bug_is_found(
+    plant: Plant, worlds: dict[str, SimulatedWorld], monkeypatch: pytest.MonkeyPatch
+) -> None:
     plant(monkeypatch)
     names = cycle(PLANTS[plant])
     assert any(find(worlds[name], [seed]) for seed, name in zip(range(SEEDS), names, strict=False)), plant.__doc__
 
 
 def test_a_schedule_with_which_a_promise_is_broken_is_simplified(
-    worlds: dict[str, World], monkeypatch: pytest.MonkeyPatch
+    worlds: dict[str, SimulatedWorld], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (dead,) = (plant for plant in PLANTS if plant.__name__ == "a_dead_node_is_waited_for")
     dead(monkeypatch)

@@ -14,13 +14,13 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.runtime import protocol_log as log
 from mast_zenoh.runtime.protocol.events import AnyEvent, DroppedEvent, MessageEvent, RewireEvent
 from mast_zenoh.runtime.protocol_log import ProcessLog, difference, logged_protocol, read, replay
-from mast_zenoh.testing.simulation import Disturbance, Schedule, World, play, processes, random_schedule
+from mast_zenoh.testing.simulation import Disturbance, Schedule, SimulatedWorld, play, processes, random_schedule
 
 WORLDS = small_worlds()
 INSERTED = Schedule(2, (Disturbance(0.03, "intercept", "relay"), Disturbance(0.2, "release", "relay")))
 
 
-def logs_of(world: World, schedule: Schedule, monkeypatch: pytest.MonkeyPatch) -> list[ProcessLog]:
+def logs_of(world: SimulatedWorld, schedule: Schedule, monkeypatch: pytest.MonkeyPatch) -> list[ProcessLog]:
     """The logs of all processes of a simulated run."""
     written: dict[str, list[bytes]] = defaultdict(list)
 
@@ -33,7 +33,7 @@ def logs_of(world: World, schedule: Schedule, monkeypatch: pytest.MonkeyPatch) -
     return [process for parts in written.values() for process in read(b"".join(parts))]
 
 
-def replayed(world: World, recorded: ProcessLog) -> ProcessLog:
+def replayed(world: SimulatedWorld, recorded: ProcessLog) -> ProcessLog:
     name = recorded.beginning.node
     return replay(recorded, world.build(name, world.resolved.nodes.get(name)))  # type: ignore[arg-type]
 

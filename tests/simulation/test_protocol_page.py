@@ -14,7 +14,7 @@ from test_found_schedules import FOUND
 from mast_zenoh.launch import launcher_protocol
 from mast_zenoh.runtime import host
 from mast_zenoh.runtime.protocol import driver, events, node, pacer, rewiring, traffic
-from mast_zenoh.testing.simulation import World, play, random_schedule
+from mast_zenoh.testing.simulation import SimulatedWorld, play, random_schedule
 from mast_zenoh.testing.simulation.processes import SimulatedProcess
 from mast_zenoh.testing.simulation.simulation import Simulation
 
@@ -41,7 +41,9 @@ def edges(title: str) -> Edges:
     return {(before, after) for before, after in re.findall(r"(\w+) --> (\w+)", diagram) if before != after}
 
 
-def transitions(worlds: dict[str, World], seeds: Iterable[int], monkeypatch: pytest.MonkeyPatch) -> list[Edges]:
+def transitions(
+    worlds: dict[str, SimulatedWorld], seeds: Iterable[int], monkeypatch: pytest.MonkeyPatch
+) -> list[Edges]:
     """The transitions of nodes, and of drivers, in simulated runs."""
     of_nodes, of_drivers = set[tuple[str, str]](), set[tuple[str, str]]()
     handle = Simulation.handle
@@ -77,7 +79,7 @@ DIAGRAMS = ("A node's process", "The driver")
 
 
 def test_the_diagrams_have_every_transition_of_simulated_runs(
-    worlds: dict[str, World], monkeypatch: pytest.MonkeyPatch
+    worlds: dict[str, SimulatedWorld], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for title, seen in zip(DIAGRAMS, transitions(worlds, range(40), monkeypatch), strict=True):
         assert len(seen) > 6
@@ -86,7 +88,7 @@ def test_the_diagrams_have_every_transition_of_simulated_runs(
 
 @pytest.mark.heavy
 def test_the_diagrams_have_no_transition_that_many_simulated_runs_never_make(
-    worlds: dict[str, World], monkeypatch: pytest.MonkeyPatch
+    worlds: dict[str, SimulatedWorld], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for title, seen in zip(DIAGRAMS, transitions(worlds, range(500), monkeypatch), strict=True):
         assert seen == edges(title)

@@ -15,7 +15,7 @@ from mast_zenoh.errors import ConfigurationError, StallError
 from mast_zenoh.testing.simulation import (
     Disturbance,
     Schedule,
-    World,
+    SimulatedWorld,
     check,
     explore,
     play,
@@ -36,29 +36,31 @@ SEEDS = 1000  # among all worlds
         pytest.param(3, "realtime", marks=pytest.mark.heavy),
     ],
 )
-def test_runs_with_random_schedules_keep_every_promise(worlds: dict[str, World], number: int, name: str) -> None:
+def test_runs_with_random_schedules_keep_every_promise(
+    worlds: dict[str, SimulatedWorld], number: int, name: str
+) -> None:
     explore(worlds[name], range(number, SEEDS, len(worlds)))
 
 
 @pytest.mark.heavy
 @pytest.mark.timeout(600)  # two minutes of computing
 @pytest.mark.parametrize("name", ["lockstep", "steps", "late", "realtime"])
-def test_runs_with_more_random_schedules_keep_every_promise(worlds: dict[str, World], name: str) -> None:
+def test_runs_with_more_random_schedules_keep_every_promise(worlds: dict[str, SimulatedWorld], name: str) -> None:
     explore(worlds[name], range(SEEDS, 4 * SEEDS))
 
 
-def test_a_schedule_decides_everything(worlds: dict[str, World]) -> None:
+def test_a_schedule_decides_everything(worlds: dict[str, SimulatedWorld]) -> None:
     for seed in range(20):
         schedule = random_schedule(seed, worlds["lockstep"])
         assert play(worlds["lockstep"], schedule) == play(worlds["lockstep"], schedule)
 
 
-def test_random_schedules_contain_every_kind_of_disturbance(worlds: dict[str, World]) -> None:
+def test_random_schedules_contain_every_kind_of_disturbance(worlds: dict[str, SimulatedWorld]) -> None:
     schedules = [random_schedule(seed, worlds["lockstep"]) for seed in range(300)]
     assert {disturbance.kind for schedule in schedules for disturbance in schedule.disturbances} == KINDS.keys()
 
 
-def test_an_undisturbed_run_plays_every_frame_and_hands_in_every_result(worlds: dict[str, World]) -> None:
+def test_an_undisturbed_run_plays_every_frame_and_hands_in_every_result(worlds: dict[str, SimulatedWorld]) -> None:
     for world in worlds.values():
         outcome = undisturbed(world)
         assert (outcome.ended, outcome.error, outcome.frames) == (True, "", 20)
@@ -69,24 +71,26 @@ def test_an_undisturbed_run_plays_every_frame_and_hands_in_every_result(worlds: 
 # -- what a disturbance does: each is seen in the outcome ------------------------------------------------------------
 
 
-def disturbed(world: World, kind: str, node: str = "", *, at_s: float = 0.04, lasts_s: float = 0.0):
+def disturbed(world: SimulatedWorld, kind: str, node: str = "", *, at_s: float = 0.04, lasts_s: float = 0.0):
     """The outcome of a run with one disturbance, after its promises have been checked."""
     schedule = Schedule(3, (Disturbance(at_s, kind, node, lasts_s),), calm=True)
     assert check(world, schedule) == []
     return play(world, schedule)
 
 
-def test_a_suspended_node_changes_nothing_in_lockstep(worlds: dict[str, World]) -> None:
+def test_a_suspended_node_changes_nothing_in_lockstep(worlds: dict[str, SimulatedWorld]) -> None:
     outcome = disturbed(worlds["lockstep"], "suspend", "a", lasts_s=10.0)
     assert outcome.results == undisturbed(worlds["lockstep"]).results
     assert outcome.seconds > 10.0
 
 
-def test_a_node_that_is_suspended_for_too_long_stalls_the_run(worlds: dict[str, World]) -> None:
+def test_a_node_that_is_suspended_for_too_long_stalls_the_run(worlds: dict[str, SimulatedWorld]) -> None:
     assert disturbed(worlds["lockstep"], "freeze", "a", lasts_s=45.0).error.startswith("StallError")
 
 
-def test_a_launcher_that_is_suspended_for_longer_than_the_driver_waits_stalls_the_run(worlds: dict[str, World]) -> None:
+def test_a_launcher_that_is_suspended_for_longer_than_the_driver_waits_stalls_the_run(
+    worlds: dict[str, SimulatedWorld],
+) -> None:
     short = disturbed(worlds["lockstep"], "suspend launcher", lasts_s=19.0)
     assert (short.error, short.churn) == ("", [])
     assert disturbed(worlds["lockstep"], "suspend launcher", lasts_s=34.0).error.startswith("StallError")
@@ -94,7 +98,7 @@ def test_a_launcher_that_is_suspended_for_longer_than_the_driver_waits_stalls_th
     assert row == ("failed", StallError.exit_code)
 
 
-def test_a_node_that_has_not_finished_when_the_run_is_over_fails_it(worlds: dict[str, World]) -> None:
+def test_a_node_that_has_not_finished_when_the_run_is_over_fails_it(worlds: dict[str, SimulatedWorld]) -> None:
     outcome = disturbed(worlds["realtime"], "freeze", "hub", at_s=0.4, lasts_s=45.0)
     assert outcome.error == "NodeDied: hub has not finished within 20 s; it is killed"
 
@@ -108,7 +112,9 @@ def test_an_inserted_node_changes_no_result_in_lockstep() -> None:
     assert results == undisturbed(world).results
 
 
-def test_in_real_time_a_node_behind_a_cut_link_is_lost_until_the_link_is_back(worlds: dict[str, World]) -> None:
+def test_in_real_time_a_node_behind_a_cut_link_is_lost_until_the_link_is_back(
+    worlds: dict[str, SimulatedWorld],
+) -> None:
     world = small_world(frames=400, mode="realtime")
     outcome = disturbed(world, "cut", "a", at_s=1.0, lasts_s=4.0)
     lost, back = outcome.churn
@@ -126,20 +132,20 @@ def test_a_process_that_is_replaced_behind_a_cut_link_does_not_take_its_successo
     assert outcome.results["a"]["handled"] > 200
 
 
-def test_disturbances_that_met_nothing_are_told(worlds: dict[str, World]) -> None:
+def test_disturbances_that_met_nothing_are_told(worlds: dict[str, SimulatedWorld]) -> None:
     late, absent = Disturbance(80.0, "kill", "b"), Disturbance(0.05, "kill", "relay")
     used = Disturbance(0.05, "suspend", "a", 0.1)
     assert play(worlds["lockstep"], Schedule(0, (absent, used, late))).missed == [absent, late]
 
 
-def test_a_node_that_dies_after_its_results_were_taken_is_not_started_again(worlds: dict[str, World]) -> None:
+def test_a_node_that_dies_after_its_results_were_taken_is_not_started_again(worlds: dict[str, SimulatedWorld]) -> None:
     outcome = disturbed(worlds["lockstep"], "kill at stop", "a", lasts_s=0.00025)
     assert outcome.results == undisturbed(worlds["lockstep"]).results
     assert (outcome.churn, outcome.rejected["a"]) == ([], {})
     assert outcome.notes[0].endswith("at frame 19; its results had been taken")
 
 
-def test_a_full_inbox_drops_messages_and_says_so(worlds: dict[str, World]) -> None:
+def test_a_full_inbox_drops_messages_and_says_so(worlds: dict[str, SimulatedWorld]) -> None:
     schedule = Schedule(3, (Disturbance(0.07, "fill", "listener"), Disturbance(0.07, "suspend", "listener", 2.0)))
     outcome = play(worlds["lockstep"], schedule)
     assert check(worlds["lockstep"], schedule) == []
@@ -159,7 +165,7 @@ def test_a_full_inbox_drops_messages_and_says_so(worlds: dict[str, World]) -> No
     ],
 )
 def test_a_schedule_that_cannot_be_played_is_refused(
-    worlds: dict[str, World], disturbance: Disturbance, message: str
+    worlds: dict[str, SimulatedWorld], disturbance: Disturbance, message: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=message):
         play(worlds["lockstep"], Schedule(0, (disturbance,)))

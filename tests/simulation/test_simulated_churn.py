@@ -16,7 +16,7 @@ from simulated_runs import (
 from small_worlds import small_world
 
 from mast_zenoh.config.process_steps import ProcessStep
-from mast_zenoh.testing.simulation import World, play
+from mast_zenoh.testing.simulation import SimulatedWorld, play
 
 SEEDS = range(0, 24, 2)
 EVERY = {"ticker", "a", "b", "hub", "listener"}
@@ -65,7 +65,7 @@ def test_a_restarted_node_takes_part_again_until_the_end(mode: str) -> None:
         assert not set(range(lost["frame"], back["frame"])) & set(frames["a"]), disturbed
 
 
-def paused(*steps: tuple[int, str, str]) -> World:
+def paused(*steps: tuple[int, str, str]) -> SimulatedWorld:
     """The small world in real time, with process steps."""
     return small_world(mode="realtime", steps=tuple(ProcessStep(*step) for step in steps))
 

@@ -9,14 +9,14 @@ from simulated_runs import schedule
 from small_worlds import small_world
 
 from mast_zenoh.node import Context, Node
-from mast_zenoh.testing.simulation import World, check, play
+from mast_zenoh.testing.simulation import SimulatedWorld, check, play
 
 SEEDS = range(0, 24, 2)
 EVERY = {"ticker", "a", "b", "hub", "listener"}
 MODES = ["lockstep", "realtime"]
 
 
-def continuing(world: World, *names: str) -> World:
+def continuing(world: SimulatedWorld, *names: str) -> SimulatedWorld:
     """The same run, which continues without these nodes."""
     nodes = {
         name: replace(spec, on_exit="continue") if name in names else spec

@@ -22,8 +22,8 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control.interception import Intercept
 from mast_zenoh.launch import live_interception
 from mast_zenoh.messages import codec
-from mast_zenoh.testing.simulation import World, check, play
-from mast_zenoh.wiring.insertion import Place
+from mast_zenoh.testing.simulation import SimulatedWorld, check, play
+from mast_zenoh.wiring.insertion import InsertionPoint
 
 LIVE = Path(__file__).parents[1] / "support" / "live"
 RELAY, ADVERSARY = str(LIVE / "relay.py"), "adversary.py"
@@ -49,7 +49,7 @@ class Shover(Node):
 """
 
 
-def tapped(mode: str, frames: int) -> World:
+def tapped(mode: str, frames: int) -> SimulatedWorld:
     """The small world, in which relays can be inserted into what agent a sends and receives."""
     world = small_world(mode=mode, frames=frames)
     (relay,) = world.requests
@@ -247,7 +247,7 @@ def test_impossible_requests_are_refused_with_the_reason_and_change_nothing() ->
     undisturbed = play(world, schedule(0))
     (relay,) = world.requests
     taken = relay._replace(name="b")
-    nowhere = relay._replace(name="lost", place=Place("agent/c/out", "into", "out", {"clock": "clock"}))
+    nowhere = relay._replace(name="lost", place=InsertionPoint("agent/c/out", "into", "out", {"clock": "clock"}))
     world = replace(world, requests=(taken, nowhere))
     for seed in range(8):
         steps = [(0.05, "intercept", "b"), (0.06, "intercept", "lost"), (0.07, "release", "nobody")]

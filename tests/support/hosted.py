@@ -12,7 +12,7 @@ from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.protocol.actions import Actions, Clocks
 from mast_zenoh.runtime.protocol.driver import protocol_of
-from mast_zenoh.runtime.protocol.traffic import Inbox, Item, ProcessContext
+from mast_zenoh.runtime.protocol.traffic import EventInbox, Item, ProcessContext
 from mast_zenoh.wiring.model import Wiring
 
 
@@ -29,7 +29,7 @@ class Hosted:
         self.items: deque[Item] = deque()
         self.actions = MagicMock(spec=Actions)
         self.actions.unmatched.return_value = set()
-        self.inbox = Inbox(self.items.append, nullcontext())
+        self.inbox = EventInbox(self.items.append, nullcontext())
         clocks = Clocks(lambda: self.now_ns, lambda: 0.0)
         fields = dict(seed=1, mode="lockstep", rate=1.0, frames=1, period_ns=1, nodes={}, scene={}) | fields
         context = ProcessContext(self.actions, self.inbox, clocks, "p", Signatures("x"))

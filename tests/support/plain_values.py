@@ -20,11 +20,11 @@ from mast_zenoh.v2x.asn1.asn1_types import (
     Wrapped,
 )
 from mast_zenoh.v2x.asn1.codec_kernels import Values
-from mast_zenoh.v2x.asn1.layout import Kind, Layout, extension_slot, places, width
+from mast_zenoh.v2x.asn1.layout import EncodingProgram, Kind, extension_slot, places, width
 from mast_zenoh.v2x.asn1.uper import unknown_name
 
 
-def from_plain(layout: Layout, plain: Any) -> Values:
+def from_plain(layout: EncodingProgram, plain: Any) -> Values:
     """Flat values of a message; MessageError names the field of the wrong kind. `uper.encode` checks constraints."""
     values = [0] * width(layout.type)
     _Writer(values).write(layout.type, 0, plain, layout.name)

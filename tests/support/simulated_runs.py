@@ -16,7 +16,14 @@ from mast_zenoh.messages import codec
 from mast_zenoh.node import Context, Node, Overheard, Received
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.testing.simulation import Disturbance, Outcome, Schedule, World, play, random_schedule
+from mast_zenoh.testing.simulation import (
+    Disturbance,
+    Schedule,
+    SimulatedWorld,
+    SimulationOutcome,
+    play,
+    random_schedule,
+)
 from mast_zenoh.wiring.model import ANY, Wiring
 
 RECORDER = "recorder"
@@ -58,7 +65,7 @@ class Listener(Node):
         return {"heard": self.heard}
 
 
-def listening(world: World) -> World:
+def listening(world: SimulatedWorld) -> SimulatedWorld:
     """The same run, with a listener that returns what it heard."""
     build = world.build
     return replace(world, build=lambda name, spec: Listener() if name == "listener" else build(name, spec))
@@ -121,10 +128,10 @@ def resolve(
 
 def on_simulated_mesh(
     resolved: Resolved, schedule: Schedule, requests: tuple[Intercept, ...] = ()
-) -> tuple[Played, Outcome]:
+) -> tuple[Played, SimulationOutcome]:
     """Play a scenario with a schedule."""
     messages: list[Sent] = []
-    world = World.of(resolved, requests)
+    world = SimulatedWorld.of(resolved, requests)
     build = world.build
     recorded = replace(world, build=lambda name, spec: Memory(messages) if name == RECORDER else build(name, spec))
     outcome = play(recorded, schedule)
@@ -154,7 +161,7 @@ def harmless_schedules(resolved: Resolved, number: int) -> Iterator[Schedule]:
 
     The first has delays only.
     """
-    world = World(resolved, lambda name, spec: Memory([]))
+    world = SimulatedWorld(resolved, lambda name, spec: Memory([]))
     drawn = (random_schedule(seed, world) for seed in count(1))
     harmless = (schedule for schedule in drawn if schedule.harmless and schedule.disturbances)
     yield Schedule(0)

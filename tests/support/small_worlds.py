@@ -14,8 +14,8 @@ from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control.interception import Intercept
 from mast_zenoh.node import Context, Node, Received, Source
-from mast_zenoh.testing.simulation import World
-from mast_zenoh.wiring.insertion import Place
+from mast_zenoh.testing.simulation import SimulatedWorld
+from mast_zenoh.wiring.insertion import InsertionPoint
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 PERIOD_NS = 20_000_000  #: of the scene, ns
@@ -182,7 +182,7 @@ def _wire(key: str, message: str, publisher: tuple[str, str], *subscribers: tupl
     return Wire(key, subject, message, (Leg(key, Endpoint(*publisher), tuple(Endpoint(*end) for end in subscribers)),))
 
 
-def small_world(*, frames: int = 20, mode: str = "lockstep", steps: tuple[ProcessStep, ...] = ()) -> World:
+def small_world(*, frames: int = 20, mode: str = "lockstep", steps: tuple[ProcessStep, ...] = ()) -> SimulatedWorld:
     """Five small nodes, all of whose results depend on every message: a driver, two agents, a hub and a listener.
 
     Agent a is restarted when it dies, the run continues without b, and it fails without the hub.
@@ -218,12 +218,12 @@ def small_world(*, frames: int = 20, mode: str = "lockstep", steps: tuple[Proces
         steps=steps,
         leeway_ns=0,
     )
-    place = Place("agent/a/out", "into", "out", {"clock": "clock"})
+    place = InsertionPoint("agent/a/out", "into", "out", {"clock": "clock"})
     relay = Intercept("relay", NodeSpec("link", "", "", {}, "continue"), place, ())
-    return World(resolved, lambda name, spec: classes[name](), (relay,))
+    return SimulatedWorld(resolved, lambda name, spec: classes[name](), (relay,))
 
 
-def small_worlds(frames: int = 20) -> dict[str, World]:
+def small_worlds(frames: int = 20) -> dict[str, SimulatedWorld]:
     """The small world in lock-step, with nodes that end and start between frames, and in real time."""
     steps = (
         ProcessStep(3, "leave", "b"),

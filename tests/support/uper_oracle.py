@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from mast_zenoh.v2x.asn1.asn1_types import LONGEST
-from mast_zenoh.v2x.asn1.codec_kernels import Fault, Refusal, Values
+from mast_zenoh.v2x.asn1.codec_kernels import CodecFault, Refusal, Values
 from mast_zenoh.v2x.asn1.layout import Kind, Op
 
 
@@ -37,7 +37,7 @@ def encode_values(program: Values, values: Values) -> tuple[bytes | None, Refusa
 class _Refused(Exception):
     """Ends the coding of a message."""
 
-    def __init__(self, fault: Fault, found: int) -> None:
+    def __init__(self, fault: CodecFault, found: int) -> None:
         self.fault, self.found = fault, found
 
 
@@ -102,14 +102,14 @@ class _Decoder(_Coder):
         self.node(root, self.reserve(width))
         rest = self.end - self.position
         if rest >= 8 and (rest > 8 or self.position):
-            raise _Refused(Fault.TRAILING, rest // 8)
+            raise _Refused(CodecFault.TRAILING, rest // 8)
         if self.take(rest):
-            raise _Refused(Fault.PADDING, rest)
+            raise _Refused(CodecFault.PADDING, rest)
 
     def take(self, bits: int) -> int:
         """The next bits as an unsigned number."""
         if bits > self.end - self.position:
-            raise _Refused(Fault.TRUNCATED, self.end - self.position)
+            raise _Refused(CodecFault.TRUNCATED, self.end - self.position)
         first, self.position = self.position, self.position + bits
         octets = self.data[first >> 3 : (self.position + 7) >> 3]
         return (int.from_bytes(octets) >> (-self.position % 8)) & ((1 << bits) - 1)
@@ -125,25 +125,25 @@ class _Decoder(_Coder):
         if not self.take(1):
             return self.take(7)
         if self.take(1):
-            raise _Refused(Fault.FRAGMENTED, 0)
+            raise _Refused(CodecFault.FRAGMENTED, 0)
         length = self.take(14)
         if length < 128:
-            raise _Refused(Fault.LONGER, length)
+            raise _Refused(CodecFault.LONGER, length)
         return length
 
     def small(self) -> int:
         """Normally small number below 64 (11.6)."""
         if self.take(1):
-            raise _Refused(Fault.ADDITIONS, 0)
+            raise _Refused(CodecFault.ADDITIONS, 0)
         return self.take(6)
 
     def open(self, node: int, slot: int) -> None:
         """Contents of an open type (11.2); of an unknown one, its octets."""
         octets = self.length()
         if octets == 0:
-            raise _Refused(Fault.OPEN_LENGTH, octets)
+            raise _Refused(CodecFault.OPEN_LENGTH, octets)
         if 8 * octets > self.end - self.position:
-            raise _Refused(Fault.TRUNCATED, self.end - self.position)
+            raise _Refused(CodecFault.TRUNCATED, self.end - self.position)
         if node == self.program[1]:
             self.rows(node, slot, octets)
             return
@@ -152,16 +152,16 @@ class _Decoder(_Coder):
         self.node(node, slot)
         rest = self.end - self.position
         if rest >= 8 and (rest > 8 or self.position > first):
-            raise _Refused(Fault.OPEN_LENGTH, octets)
+            raise _Refused(CodecFault.OPEN_LENGTH, octets)
         if self.take(rest):
-            raise _Refused(Fault.PADDING, rest)
+            raise _Refused(CodecFault.PADDING, rest)
         self.end = outer
 
     def rows(self, node: int, slot: int, count: int) -> None:
         """Elements of a list."""
         element, width, least = self.program[node + 6 : node + 9]
         if count * least > self.end - self.position:
-            raise _Refused(Fault.TRUNCATED, self.end - self.position)
+            raise _Refused(CodecFault.TRUNCATED, self.end - self.position)
         start = self.reserve(count * width) if count else 0
         self.values[slot], self.values[slot + 1] = count, start
         for row in range(count):
@@ -179,15 +179,15 @@ class _Decoder(_Coder):
         if extensible and self.take(1):
             octets = self.length()
             if not 1 <= octets <= 8:
-                raise _Refused(Fault.WIDE_INTEGER, octets)
+                raise _Refused(CodecFault.WIDE_INTEGER, octets)
             value = self.take(8 * octets)
             value -= (value >> (8 * octets - 1)) << (8 * octets)
             if octets != _octets(value) or _allowed(self.program, node, value):
-                raise _Refused(Fault.LONGER, value)
+                raise _Refused(CodecFault.LONGER, value)
         else:
             value = low + self.take(bits)
             if not _allowed(self.program, node, value):
-                raise _Refused(Fault.RANGE, value)
+                raise _Refused(CodecFault.RANGE, value)
         self.values[slot] = value
 
     def enumerated(self, node: int, slot: int) -> None:
@@ -201,7 +201,7 @@ class _Decoder(_Coder):
             return n + self.small()
         index = self.take(bits)
         if index >= n:
-            raise _Refused(Fault.RANGE, index)
+            raise _Refused(CodecFault.RANGE, index)
         return index
 
     def list(self, node: int, slot: int) -> None:
@@ -210,13 +210,13 @@ class _Decoder(_Coder):
         if extensible and self.take(1):
             count = self.length()
             if low <= count <= high:
-                raise _Refused(Fault.LONGER, count)
+                raise _Refused(CodecFault.LONGER, count)
         else:
             count = low + self.take(bits)
             if count > high:
-                raise _Refused(Fault.COUNT, count)
+                raise _Refused(CodecFault.COUNT, count)
         if count > largest:
-            raise _Refused(Fault.COUNT, count)
+            raise _Refused(CodecFault.COUNT, count)
         self.rows(node, slot, count)
 
     def sequence(self, node: int, slot: int) -> None:
@@ -235,11 +235,11 @@ class _Decoder(_Coder):
                 else:
                     self.values[slot + offset - 1] = present
                     if (kind == Kind.PRESENT and not present) or (kind == Kind.ABSENT and present):
-                        raise _Refused(Fault.PRESENCE, present)
+                        raise _Refused(CodecFault.PRESENCE, present)
             if kind == Kind.MANDATORY or present:
                 self.node(address, slot + offset)
                 if kind == Kind.DEFAULT and self.values[slot + offset] == default:
-                    raise _Refused(Fault.LONGER, default)
+                    raise _Refused(CodecFault.LONGER, default)
             self.path.pop()
         if extended:
             self.additions(node, slot, n_fields, additions, slot + extension)
@@ -249,7 +249,7 @@ class _Decoder(_Coder):
         n = 1 + self.small()
         flags = self.take(n)
         if not flags:
-            raise _Refused(Fault.NO_ADDITION, n)
+            raise _Refused(CodecFault.NO_ADDITION, n)
         unknown = self.reserve(3 * (n - known)) if n > known else 0
         self.values[extension], self.values[extension + 1] = n, unknown
         for addition in range(n):
@@ -300,7 +300,7 @@ class _Encoder(_Coder):
         """Encode all."""
         root, _, width = self.program[:3]
         if len(self.values) < width:
-            raise _Refused(Fault.ROWS, len(self.values))
+            raise _Refused(CodecFault.ROWS, len(self.values))
         self.node(root, 0)
         return self.octets()
 
@@ -316,7 +316,7 @@ class _Encoder(_Coder):
     def length(self, length: int) -> None:
         """General length determinant (11.9.3.5 to 11.9.3.8)."""
         if length > LONGEST:
-            raise _Refused(Fault.FRAGMENTED, length)
+            raise _Refused(CodecFault.FRAGMENTED, length)
         if length < 128:
             self.put(length, 8)
         else:
@@ -327,7 +327,7 @@ class _Encoder(_Coder):
         if node == self.program[1]:
             count = self.values[slot]
             if not 1 <= count <= LONGEST:
-                raise _Refused(Fault.COUNT, count)
+                raise _Refused(CodecFault.COUNT, count)
             self.length(count)
             self.rows(node, slot, count)
             return
@@ -343,7 +343,7 @@ class _Encoder(_Coder):
         element, width = self.program[node + 6 : node + 8]
         start = self.values[slot + 1]
         if count and not 0 <= start <= len(self.values) - count * width:
-            raise _Refused(Fault.ROWS, start)
+            raise _Refused(CodecFault.ROWS, start)
         for row in range(count):
             self.path.append(row)
             self.node(element, start + row * width)
@@ -365,7 +365,7 @@ class _Encoder(_Coder):
             self.length(octets)
             self.put(value & ((1 << (8 * octets)) - 1), 8 * octets)
         else:
-            raise _Refused(Fault.RANGE, value)
+            raise _Refused(CodecFault.RANGE, value)
 
     def enumerated(self, node: int, slot: int) -> None:
         """Extensible ENUMERATED (14)."""
@@ -375,7 +375,7 @@ class _Encoder(_Coder):
     def index(self, index: int, n: int, bits: int, extensible: bool) -> None:
         """Number of an alternative; n in the root, and from n on additions."""
         if not 0 <= index < n + 64 * extensible:
-            raise _Refused(Fault.RANGE, index)
+            raise _Refused(CodecFault.RANGE, index)
         if index < n:
             self.put(index, bits + extensible)
         else:
@@ -386,7 +386,7 @@ class _Encoder(_Coder):
         low, high, bits, extensible, largest = self.program[node + 1 : node + 6]
         count = self.values[slot]
         if not 0 <= count <= largest or not (extensible or low <= count <= high):
-            raise _Refused(Fault.COUNT, count)
+            raise _Refused(CodecFault.COUNT, count)
         if low <= count <= high:
             self.put(count - low, bits + extensible)
         else:
@@ -397,7 +397,7 @@ class _Encoder(_Coder):
     def flag(self, slot: int) -> int:
         """A slot of presence."""
         if self.values[slot] not in (0, 1):
-            raise _Refused(Fault.PRESENCE, self.values[slot])
+            raise _Refused(CodecFault.PRESENCE, self.values[slot])
         return self.values[slot]
 
     def sequence(self, node: int, slot: int) -> None:
@@ -413,7 +413,7 @@ class _Encoder(_Coder):
             elif kind != Kind.MANDATORY:
                 present[-1] = self.flag(slot + offset - 1)
                 if (kind == Kind.PRESENT and not present[-1]) or (kind == Kind.ABSENT and present[-1]):
-                    raise _Refused(Fault.PRESENCE, present[-1])
+                    raise _Refused(CodecFault.PRESENCE, present[-1])
             self.path.pop()
         if additions >= 0:
             self.put(int(self.values[slot + extension] != 0), 1)
@@ -432,9 +432,9 @@ class _Encoder(_Coder):
         """Extension additions of a sequence (19.7 to 19.9)."""
         n, unknown = self.values[extension : extension + 2]
         if not 0 <= n <= 64:
-            raise _Refused(Fault.COUNT, n)
+            raise _Refused(CodecFault.COUNT, n)
         if n > known and not 0 <= unknown <= len(self.values) - 3 * (n - known):
-            raise _Refused(Fault.ROWS, unknown)
+            raise _Refused(CodecFault.ROWS, unknown)
         places = []
         for addition in range(max(n, known)):
             self.path.append(n_fields + addition)
@@ -445,13 +445,13 @@ class _Encoder(_Coder):
                 address, place = self.program[1], unknown + 3 * (addition - known) + 1
             if self.flag(place - 1):
                 if addition >= n:
-                    raise _Refused(Fault.PRESENCE, 1)
+                    raise _Refused(CodecFault.PRESENCE, 1)
                 places.append((addition, address, place))
             self.path.pop()
         if not n:
             return
         if not places:
-            raise _Refused(Fault.NO_ADDITION, n)
+            raise _Refused(CodecFault.NO_ADDITION, n)
         self.put(n - 1, 7)
         self.put(sum(1 << (n - 1 - addition) for addition, _, _ in places), n)
         for addition, address, place in places:

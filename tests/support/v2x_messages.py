@@ -13,12 +13,12 @@ from mast_zenoh.v2x.asn1.asn1_types import (
     Boolean,
     Choice,
     Default,
+    Demanded,
     Enumerated,
     Integer,
     ListOf,
     OctetString,
     Optional,
-    Present,
     Sequence,
     Type,
 )
@@ -90,7 +90,7 @@ class MessageMaker:
                 continue
             if isinstance(field, Default):
                 plain[name] = self.draw(field.type)
-            elif not isinstance(field, Optional) or isinstance(field, Present) or self.chance(self.presence):
+            elif not isinstance(field, Optional) or isinstance(field, Demanded) or self.chance(self.presence):
                 plain[name] = self.draw(field.type if isinstance(field, Optional) else field)
         if type.additions is not None and self.extends():
             first = len(type.additions)

@@ -29,7 +29,7 @@ from mast_zenoh import (
 )
 from mast_zenoh.config import bundle, loading, plugins, registry
 from mast_zenoh.testing import samples
-from mast_zenoh.testing.simulation import World, explore
+from mast_zenoh.testing.simulation import SimulatedWorld, explore
 
 pytestmark = pytest.mark.heavy
 
@@ -171,7 +171,7 @@ def test_a_shipped_scenario_keeps_every_promise_on_the_simulated_mesh(name: str)
 
 @pytest.mark.parametrize("name", ["rogue", "sybil"])
 def test_a_shipped_scenario_of_real_time_keeps_every_promise_on_the_simulated_mesh(name: str) -> None:
-    world = World.of(scenario.resolve(*scenario.load(name, []), frames=10))
+    world = SimulatedWorld.of(scenario.resolve(*scenario.load(name, []), frames=10))
     assert world.resolved.mode == "realtime"
     explore(world, range(10))
 

@@ -15,9 +15,9 @@ from mast_zenoh.node import Context, Received
 from mast_zenoh.testing.comparison import first_difference
 from mast_zenoh.testing.simulation import (
     Disturbance,
-    Outcome,
     Schedule,
-    World,
+    SimulatedWorld,
+    SimulationOutcome,
     check,
     explore,
     play,
@@ -28,8 +28,8 @@ RELAY = dict(wire="agent/infra_1/tracks", file="adversary.py", name="relay", set
 INSERTED = Schedule(8, (Disturbance(0.0563, "intercept", "relay"),))
 
 
-def world(*requests: dict[str, object]) -> World:
-    return World.of(scenario.resolve(*scenario.load("baseline", ["n_infrastructure=2"]), frames=10), requests)
+def world(*requests: dict[str, object]) -> SimulatedWorld:
+    return SimulatedWorld.of(scenario.resolve(*scenario.load("baseline", ["n_infrastructure=2"]), frames=10), requests)
 
 
 def test_a_shipped_node_that_is_inserted_and_changes_nothing_keeps_every_promise() -> None:
@@ -70,7 +70,7 @@ def test_a_world_that_fails_without_any_disturbance_is_found() -> None:
 
 
 def test_a_promise_of_ones_own_is_checked_and_its_counterexample_simplified() -> None:
-    def never_without_b(outcome: Outcome) -> Iterator[str]:
+    def never_without_b(outcome: SimulationOutcome) -> Iterator[str]:
         if "b" in outcome.lost:
             yield "b is gone"
 

@@ -24,7 +24,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.run_folder.recording.difference import compare, explain
 from mast_zenoh.tracking import StoneSoupTracker
-from mast_zenoh.tracking.association import Measured
+from mast_zenoh.tracking.association import MeasurementBatch
 
 pytest.importorskip("stonesoup", reason="Stone Soup is not installed")
 from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
@@ -67,7 +67,7 @@ def objects(draw: st.DrawFn) -> ObjectStates:
 @settings(max_examples=50)
 @given(objects(), st.sampled_from(ORDERS))
 def test_states_survive_the_way_to_stone_soup_and_back(states: ObjectStates, order: tuple[str, ...]) -> None:
-    measured = Measured.states(states)
+    measured = MeasurementBatch.states(states)
     detections = detections_of(0, 1, measured, states.score[measured.row], order)
     tracks = []
     for detection in detections:
@@ -90,7 +90,7 @@ def test_states_survive_the_way_to_stone_soup_and_back(states: ObjectStates, ord
 def test_a_detection_tells_stone_soup_its_class_size_and_covariance() -> None:
     covariance = np.array([[[0.5, 0.1, 0.0], [0.1, 0.3, 0.0], [0.0, 0.0, 0.2]]])
     detections = detected([3.0, 4.0], yaw=0.5, kind="truck", covariance=covariance)
-    measured = Measured.detections(detections, np.full(6, 0.01))
+    measured = MeasurementBatch.detections(detections, np.full(6, 0.01))
     (detection,) = detections_of(1_500_000_999, 1, measured, detections.score, COVARIANCE_ORDER)
     assert detection.state_vector.ravel().tolist() == [3.0, 4.0, 1.6, 9.0, 2.5, 3.2]
     assert (detection.metadata["class"], detection.metadata["size"]) == ("truck", (9.0, 2.5, 3.2))

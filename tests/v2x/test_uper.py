@@ -14,16 +14,16 @@ from mast_zenoh.v2x.asn1.asn1_types import (
     Bits,
     Choice,
     Default,
+    Demanded,
     Enumerated,
     Integer,
     ListOf,
     Octets,
     Optional,
-    Present,
     Sequence,
     Wrapped,
 )
-from mast_zenoh.v2x.asn1.layout import Layout, slot_of
+from mast_zenoh.v2x.asn1.layout import EncodingProgram, slot_of
 from mast_zenoh.v2x.asn1.plain import to_plain
 from mast_zenoh.v2x.asn1.uper import decode, encode
 
@@ -85,7 +85,7 @@ def packed(bits: str) -> bytes:
     ],
 )  # fmt: skip
 def test_each_kind_of_type_has_the_bits_of_the_standard(type, plain, bits):
-    layout = Layout("value", type)
+    layout = EncodingProgram("value", type)
     values = from_plain(layout, plain)
     assert encode(layout, values) == packed(bits)
     np.testing.assert_array_equal(decode(layout, packed(bits)), values)
@@ -108,7 +108,7 @@ def test_each_kind_of_type_has_the_bits_of_the_standard(type, plain, bits):
         (ListOf(Integer(0, 3), 1, 2, extensible=True), "1 00000010 0000", "2 is encoded longer than needed"),
         (ListOf(Integer(0, 3), 1, 2, extensible=True), "1 10 00000001111111", "127 is encoded longer than needed"),
         (ListOf(Integer(0, 3), 1, 2, extensible=True), "1 11 000001", "found a fragmented length"),
-        (Sequence({"a": Present(BOOLEAN)}), "0", "a: found presence 0, expected 1: the field is mandatory here"),
+        (Sequence({"a": Demanded(BOOLEAN)}), "0", "a: found presence 0, expected 1: the field is mandatory here"),
         (Sequence({"a": Absent(BOOLEAN)}), "11", "a: found presence 1, expected 0: the field is not allowed here"),
         (DEFAULTS, "1 0101", "a: 5 is encoded longer than needed"),
         (OPEN, "1 10 0000000 0", "found a list of 1 extension additions that are all absent"),
@@ -127,7 +127,7 @@ def test_each_kind_of_type_has_the_bits_of_the_standard(type, plain, bits):
 def test_encodings_that_are_not_canonical_are_refused(type, bits, message):
     data = packed(bits) if bits else b""
     with pytest.raises(MessageError, match=message):
-        decode(Layout("value", type), data)
+        decode(EncodingProgram("value", type), data)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_encodings_that_are_not_canonical_are_refused(type, bits, message):
     ],
 )
 def test_values_outside_a_constraint_are_refused_with_the_path_of_the_field(type, plain, message):
-    layout = Layout("value", type)
+    layout = EncodingProgram("value", type)
     with pytest.raises(MessageError, match=message):
         encode(layout, from_plain(layout, plain))
 
@@ -170,17 +170,17 @@ def test_values_outside_a_constraint_are_refused_with_the_path_of_the_field(type
 )
 def test_plain_values_of_the_wrong_kind_are_refused_with_the_path_of_the_field(type, plain, message):
     with pytest.raises(MessageError, match=message):
-        from_plain(Layout("value", type), plain)
+        from_plain(EncodingProgram("value", type), plain)
 
 
 def test_slots_that_are_no_presence_or_no_rows_are_refused():
-    layout = Layout("value", PAIR)
+    layout = EncodingProgram("value", PAIR)
     values = from_plain(layout, {"a": 1, "b": 2})
     values[slot_of(PAIR, "b?")] = 2
     with pytest.raises(MessageError, match="b: found presence 2, expected 0 or 1"):
         encode(layout, values)
     for start in (-1, 2, 1 << 62):
         with pytest.raises(MessageError, match=f"found rows at slot {start}, which is outside the values"):
-            encode(Layout("list", ListOf(PAIR, 0, 9)), np.array([1, start, 0, 0], np.int64))
+            encode(EncodingProgram("list", ListOf(PAIR, 0, 9)), np.array([1, start, 0, 0], np.int64))
     with pytest.raises(MessageError, match="found rows at slot 2"):
         encode(layout, values[:2])

@@ -11,7 +11,7 @@ import pytest
 
 import mast_zenoh as mast
 from mast_zenoh import kernels, scenario
-from mast_zenoh.checks.evidence import Evidence
+from mast_zenoh.checks.evidence import RunEvidence
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.launch import run as launcher
@@ -83,7 +83,7 @@ def test_a_recording_with_a_codec_is_refused_and_its_messages_are_as_those_of_a_
     with pytest.raises(ConfigurationError, match="run: codec cpm on"):
         open_recorded(tmp_path / "run")
     with pytest.raises(ConfigurationError, match="run: codec cpm on"):
-        Evidence.read(tmp_path / "run", resolved)
+        RunEvidence.read(tmp_path / "run", resolved)
 
 
 def test_without_kernels_bytes_are_neither_read_nor_written() -> None:

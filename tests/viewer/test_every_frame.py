@@ -21,15 +21,15 @@ from mast_zenoh.runs.live.every_frame import (
     MOST_PER_KEY,
     PATIENCE,
     SETTLING_AT_MOST,
-    EveryFrame,
     FrameAssembler,
+    FrameReceiver,
     Tally,
     patience_for,
     room_for,
 )
 from mast_zenoh.runs.live.measurement import FrameMeter
 from mast_zenoh.runs.live.observer import SETTLING
-from mast_zenoh.runs.live.reception import Arrival, Sample
+from mast_zenoh.runs.live.reception import ArrivedMessage, Sample
 from mast_zenoh.runs.recorded import frames_of, open_recorded
 from mast_zenoh.wiring.model import Wiring
 
@@ -124,7 +124,7 @@ def test_at_the_end_what_has_begun_comes_out_as_it_is(assembler: FrameAssembler)
 class FrameByFrame:
     """An observer that hands out the messages of a recording, as much as is asked for."""
 
-    def __init__(self, folder: Path, batches: list[list[Arrival]]) -> None:
+    def __init__(self, folder: Path, batches: list[list[ArrivedMessage]]) -> None:
         of_recording: Any = RecordedObserver(folder, (9,))
         self.meter, self.wiring, self.run = of_recording.meter, of_recording.wiring, of_recording.run
         self.roles = {name: spec.role for name, spec in of_recording.address.resolved.nodes.items()}
@@ -134,7 +134,7 @@ class FrameByFrame:
         self.notes: list[str] = []
         self.down: list[str] = []
 
-    def keep_up(self) -> list[Arrival]:
+    def keep_up(self) -> list[ArrivedMessage]:
         return self.batches.pop(0)
 
     def is_over(self) -> bool:
@@ -149,19 +149,19 @@ def received(content: bytes) -> Any:
     return SimpleNamespace(to_bytes=lambda: content)
 
 
-def arrivals(folder: Path) -> list[Arrival]:
+def arrivals(folder: Path) -> list[ArrivedMessage]:
     """The messages of a recording, of those keys that frames need."""
     resolved = Resolved.read(folder)
     keys = FrameMeter(resolved).keys(Wiring.from_json(resolved.wiring))
-    return [Arrival(each.key, each.step, received(each.payload)) for each in read(folder) if each.key in keys]
+    return [ArrivedMessage(each.key, each.step, received(each.payload)) for each in read(folder) if each.key in keys]
 
 
-def all_frames(folder: Path, batches: list[list[Arrival]], monkeypatch: pytest.MonkeyPatch, **words: Any) -> Any:
+def all_frames(folder: Path, batches: list[list[ArrivedMessage]], monkeypatch: pytest.MonkeyPatch, **words: Any) -> Any:
     """The frames of a running run that has these messages, and what was counted."""
     observer: Any = FrameByFrame(folder, batches)
     monkeypatch.setattr(every_frame, "Observer", lambda *_: observer)
     monkeypatch.setattr(every_frame, "POLL_S", 0.0)
-    every = EveryFrame(observer.address, None)  # type: ignore[arg-type]
+    every = FrameReceiver(observer.address, None)  # type: ignore[arg-type]
     return list(every.frames(threading.Event(), **words)), every.tally
 
 
@@ -200,7 +200,7 @@ def test_invalid_messages_of_a_run_are_counted(recorded: mast.Run, monkeypatch: 
     key = next(each.key for each in messages if each.key.endswith("ego/tracks"))
     rubbish = received(b"\x93rubbish")
     broken = received(next(each for each in messages if each.key == key).payload.to_bytes()[:-3])
-    more = [Arrival(key, 3, rubbish), Arrival("stranger", 3, rubbish), Arrival(key, 0, broken)]
+    more = [ArrivedMessage(key, 3, rubbish), ArrivedMessage("stranger", 3, rubbish), ArrivedMessage(key, 0, broken)]
     frames, tally = all_frames(recorded.path, [[*more, *messages], []], monkeypatch)
     assert len(frames) == 30
     assert tally.refused == 3

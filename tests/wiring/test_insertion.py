@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.errors import WiringError
-from mast_zenoh.wiring.insertion import Place, insert, interposer_of, never_inserted, remove, taps_into
+from mast_zenoh.wiring.insertion import InsertionPoint, insert, interposer_of, never_inserted, remove, taps_into
 from mast_zenoh.wiring.model import TAP, Branch, Endpoint, Leg, Listener, Wire, Wiring
 
 
@@ -45,7 +45,7 @@ def test_insertions_and_removals_keep_wire_ends_and_chains_intact(steps: list[tu
             assert after == {k: tuple(name for name in names if name != node) for k, names in before.items()}
             del sitting[node]
         else:
-            wiring = insert(wiring, node, Place(key, "in", "out"))
+            wiring = insert(wiring, node, InsertionPoint(key, "in", "out"))
             sitting[node] = key
         assert ends(wiring) == ends(PLAIN)
         keys = wiring.keys()
@@ -64,7 +64,7 @@ def test_insertions_and_removals_keep_wire_ends_and_chains_intact(steps: list[tu
 
 def test_an_inserted_node_has_the_wires_of_its_position_until_removed() -> None:
     report = wire("attack/m/report", "m", "c")
-    wiring = insert(PLAIN, "m", Place("a/tracks", "in", "out", {"clock": "clock"}, (report,)))
+    wiring = insert(PLAIN, "m", InsertionPoint("a/tracks", "in", "out", {"clock": "clock"}, (report,)))
     ports = wiring.ports("m")
     assert {key: heard.port for key, heard in ports.inputs.items()} == {"clock": "clock", f"a/tracks/{TAP}/0": "in"}
     assert wiring.ports("c").inputs["attack/m/report"].source == "m"
@@ -77,10 +77,10 @@ def test_an_inserted_node_has_the_wires_of_its_position_until_removed() -> None:
 
 
 def test_the_next_free_tap_is_used_so_each_leg_changes_its_key_at_most_once() -> None:
-    chain = insert(insert(PLAIN, "m", Place("clock", "in", "out")), "n", Place("clock", "in", "out"))
+    chain = insert(insert(PLAIN, "m", InsertionPoint("clock", "in", "out")), "n", InsertionPoint("clock", "in", "out"))
     without = remove(chain, "m")
     assert [leg.key for leg in without.wires[0].legs] == [f"clock/{TAP}/1", "clock"]
-    again = insert(without, "o", Place("clock", "in", "out"))
+    again = insert(without, "o", InsertionPoint("clock", "in", "out"))
     assert [leg.key for leg in again.wires[0].legs] == [f"clock/{TAP}/1", f"clock/{TAP}/0", "clock"]
 
 
@@ -89,7 +89,7 @@ def test_an_inserted_node_comes_before_branches_whose_nodes_cannot_be_released()
     leg = Leg(f"a/tracks/{TAP}/b/0", Endpoint("link", "out"), (last,))
     trunk = Leg("a/tracks", Endpoint("a", "out"), (entrance, Endpoint("c", "in")))
     branched = Wiring((Wire("a/tracks", "", "tracks", (trunk,), (Branch(entrance, last, (leg,)),)),))
-    wiring = insert(branched, "m", Place("a/tracks", "in", "out"))
+    wiring = insert(branched, "m", InsertionPoint("a/tracks", "in", "out"))
     assert wiring.wires[0].branches == branched.wires[0].branches
     assert wiring.wires[0].subscribers == branched.wires[0].subscribers
     assert remove(wiring, "m") == branched
@@ -102,8 +102,8 @@ def test_nodes_come_and_go_before_one_subscriber_that_has_a_branch_and_nobody_el
     leg = Leg(f"a/tracks/{TAP}/b/0", Endpoint("link", "out"), (last,))
     trunk = Leg("a/tracks", Endpoint("a", "out"), (entrance, Endpoint("c", "in")))
     branched = Wiring((Wire("a/tracks", "", "tracks", (trunk,), (Branch(entrance, last, (leg,)),)),), RECORDER)
-    one = insert(branched, "m", Place("a/tracks", "in", "out", before="b"))
-    both = insert(one, "n", Place("a/tracks", "in", "out", before="b"))
+    one = insert(branched, "m", InsertionPoint("a/tracks", "in", "out", before="b"))
+    both = insert(one, "n", InsertionPoint("a/tracks", "in", "out", before="b"))
     assert both.wires[0].interposers == ("link", "m", "n")
     for name in ("a", "b", "c"):
         assert both.ports(name) == branched.ports(name), name
@@ -114,28 +114,28 @@ def test_nodes_come_and_go_before_one_subscriber_that_has_a_branch_and_nobody_el
     assert remove(remove(both, "m"), "n") == branched
     assert never_inserted(both, {"m", "n"}) == branched
     with pytest.raises(WiringError, match="no node is before c alone on 'a/tracks', and a subscriber keeps"):
-        insert(branched, "m", Place("a/tracks", "in", "out", before="c"))
+        insert(branched, "m", InsertionPoint("a/tracks", "in", "out", before="c"))
     with pytest.raises(WiringError, match="'d' does not subscribe to 'a/tracks'"):
-        insert(branched, "m", Place("a/tracks", "in", "out", before="d"))
+        insert(branched, "m", InsertionPoint("a/tracks", "in", "out", before="d"))
 
 
 @pytest.mark.parametrize(
     ("node", "place", "what"),
     [
-        ("m", Place("a/track", "in", "out"), r"no wire 'a/track'; did you mean 'a/tracks'\?"),
-        ("m", Place("a/tracks", "in", "out", {"clok": "clock"}), r"no wire 'clok'; did you mean 'clock'\?"),
-        ("b", Place("a/tracks", "in", "out"), "b is already on the wire 'a/tracks'"),
-        ("a/b", Place("a/tracks", "in", "out"), "one chunk of a key expression"),
-        ("m", Place("a/tracks", "in", "out", {}, (wire("clock", "m", "c"),)), "already has a publisher"),
+        ("m", InsertionPoint("a/track", "in", "out"), r"no wire 'a/track'; did you mean 'a/tracks'\?"),
+        ("m", InsertionPoint("a/tracks", "in", "out", {"clok": "clock"}), r"no wire 'clok'; did you mean 'clock'\?"),
+        ("b", InsertionPoint("a/tracks", "in", "out"), "b is already on the wire 'a/tracks'"),
+        ("a/b", InsertionPoint("a/tracks", "in", "out"), "one chunk of a key expression"),
+        ("m", InsertionPoint("a/tracks", "in", "out", {}, (wire("clock", "m", "c"),)), "already has a publisher"),
     ],
 )
-def test_an_impossible_insertion_is_refused(node: str, place: Place, what: str) -> None:
+def test_an_impossible_insertion_is_refused(node: str, place: InsertionPoint, what: str) -> None:
     with pytest.raises(WiringError, match=what):
         insert(PLAIN, node, place)
 
 
 def test_only_a_node_on_a_wire_can_be_removed_and_the_wire_must_have_only_one() -> None:
-    both = insert(insert(PLAIN, "m", Place("clock", "in", "out")), "n", Place("clock", "in", "out"))
+    both = insert(insert(PLAIN, "m", InsertionPoint("clock", "in", "out")), "n", InsertionPoint("clock", "in", "out"))
     with pytest.raises(WiringError, match=r"no node 'mm' is on a wire; did you mean 'm'\?"):
         remove(both, "mm")
     with pytest.raises(WiringError, match="the wire 'clock': found m, n on it"):
@@ -145,7 +145,9 @@ def test_only_a_node_on_a_wire_can_be_removed_and_the_wire_must_have_only_one() 
 
 
 def test_a_wiring_without_some_nodes_equals_one_that_never_had_them() -> None:
-    wiring = insert(insert(PLAIN, "m", Place("a/tracks", "in", "out")), "n", Place("a/tracks", "in", "out"))
+    wiring = insert(
+        insert(PLAIN, "m", InsertionPoint("a/tracks", "in", "out")), "n", InsertionPoint("a/tracks", "in", "out")
+    )
     assert never_inserted(wiring, {"m", "n"}) == PLAIN
     (kept,) = (each for each in never_inserted(wiring, {"m"}).wires if each.interposers)
     assert kept.interposers == ("n",)

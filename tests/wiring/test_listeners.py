@@ -14,7 +14,7 @@ from ports import node
 from mast_zenoh.errors import WiringError
 from mast_zenoh.wiring import maps
 from mast_zenoh.wiring.endpoints import NodeOptions
-from mast_zenoh.wiring.insertion import Place, insert, parties, remove
+from mast_zenoh.wiring.insertion import InsertionPoint, insert, parties, remove
 from mast_zenoh.wiring.model import Input, Wiring, to_mermaid, to_text
 
 AGENTS = ("ego", "infra_1", "infra_2")
@@ -332,21 +332,21 @@ def test_listeners_receive_each_wire_once_but_not_their_own_and_change_nothing_f
 
 def test_a_node_inserted_during_a_run_is_before_the_wires_listeners() -> None:
     wiring = resolve(world(guard=DEFENCE), {"listen": [listen("agent/ego/tracks", "tracks", "defence")]})
-    changed = insert(wiring, "mallory", Place("agent/ego/tracks", "in", "out"))
+    changed = insert(wiring, "mallory", InsertionPoint("agent/ego/tracks", "in", "out"))
     assert changed.ports("guard") == wiring.ports("guard")
     assert ("agent/ego/tracks", "mallory", "guard") in set(changed.flows())
     assert remove(changed, "mallory") == wiring
     with pytest.raises(WiringError, match="guard is already on the wire 'agent/ego/tracks'"):
-        insert(wiring, "guard", Place("agent/ego/tracks", "in", "out"))
+        insert(wiring, "guard", InsertionPoint("agent/ego/tracks", "in", "out"))
 
 
 def test_a_listener_at_the_source_keeps_its_key_during_a_run() -> None:
     at_source = {"listen": [listen("agent/*/tracks", "tracks", "defence", leg="source")]}
     wiring = resolve(world(guard=DEFENCE), at_source)
     with pytest.raises(WiringError, match="guard listens at the source of 'agent/ego/tracks'"):
-        insert(wiring, "mallory", Place("agent/ego/tracks", "in", "out"))
+        insert(wiring, "mallory", InsertionPoint("agent/ego/tracks", "in", "out"))
     intercepted = resolve(world(guard=DEFENCE, first=adversary("ego")), {"insert": [ON_TRACKS]}, at_source)
-    chain = insert(intercepted, "mallory", Place("agent/ego/tracks", "in", "out"))
+    chain = insert(intercepted, "mallory", InsertionPoint("agent/ego/tracks", "in", "out"))
     assert chain.ports("guard") == intercepted.ports("guard")
     assert remove(chain, "mallory") == intercepted
     for both in (chain, intercepted):

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from mast_zenoh.deploy.ssh.connection import connected, messages_of
-from mast_zenoh.deploy.ssh.hostsfile import Host
+from mast_zenoh.deploy.ssh.hostsfile import SshHost
 from mast_zenoh.deploy.ssh.warden import NOT_THERE
 from mast_zenoh.errors import EngineError
 
@@ -32,7 +32,7 @@ def attaching(place: Mapping[str, Any]) -> str:
     return shlex.join(["env", f"PYTHONPATH={place['release']}", *words])
 
 
-async def ask_warden(host: Host, place: Mapping[str, Any], do: str, **more: Any) -> dict[str, Any] | None:
+async def ask_warden(host: SshHost, place: Mapping[str, Any], do: str, **more: Any) -> dict[str, Any] | None:
     """The warden's answer; None without a warden or installation. Raises EngineError."""
     import asyncssh
 
@@ -54,7 +54,7 @@ async def ask_warden(host: Host, place: Mapping[str, Any], do: str, **more: Any)
         raise EngineError(f"{host.called}: {error or type(error).__name__}") from None
 
 
-class Attachment:
+class WardenAttachment:
     """The launcher's view of one warden. Commands are repeated until it has answered; a lost connection is restored.
 
     command: the command from `attaching`
@@ -65,7 +65,7 @@ class Attachment:
     """
 
     def __init__(
-        self, host: Host, command: str, changed: threading.Condition, on_log: Callable[[str, int, bytes], None]
+        self, host: SshHost, command: str, changed: threading.Condition, on_log: Callable[[str, int, bytes], None]
     ) -> None:
         self.host = host
         self.states: dict[str, dict[str, Any]] = {}

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from mast_zenoh import version as release
 from mast_zenoh.deploy import wheel
 from mast_zenoh.deploy.ssh import onhost
-from mast_zenoh.deploy.ssh.hostsfile import Host
+from mast_zenoh.deploy.ssh.hostsfile import SshHost
 from mast_zenoh.errors import DiskFull, EngineError, Interrupted, VersionMismatch
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ async def together(*coroutines: Coroutine[Any, Any, T]) -> list[T]:
 
 
 @contextlib.asynccontextmanager
-async def connected(host: Host) -> AsyncIterator[asyncssh.SSHClientConnection]:
+async def connected(host: SshHost) -> AsyncIterator[asyncssh.SSHClientConnection]:
     """Open a connection to a host with a known key; raises EngineError on failure."""
     try:
         import asyncssh
@@ -158,7 +158,11 @@ def _why(error: BaseException, known_hosts: Path, key: Path | None) -> str:
 
 
 async def run(
-    ssh: asyncssh.SSHClientConnection, host: Host, words: Sequence[str], input_: str = "", seconds: float = _PROGRAM_S
+    ssh: asyncssh.SSHClientConnection,
+    host: SshHost,
+    words: Sequence[str],
+    input_: str = "",
+    seconds: float = _PROGRAM_S,
 ) -> str:
     """Run a program on the host; returns its output, raises EngineError if it fails."""
     import asyncssh
@@ -182,7 +186,7 @@ async def messages_of(process: asyncssh.SSHClientProcess[str]) -> AsyncIterator[
             yield json.loads(line)
 
 
-async def ask(ssh: asyncssh.SSHClientConnection, host: Host, *words: str) -> dict[str, Any]:
+async def ask(ssh: asyncssh.SSHClientConnection, host: SshHost, *words: str) -> dict[str, Any]:
     """Run `onhost` on the host; returns its answer. Raises EngineError."""
     output = await run(ssh, host, [host.python, "-", *words], Path(onhost.__file__).read_text(encoding="utf-8"))
     try:
@@ -234,7 +238,7 @@ class Packages:
         return f"{python}-{machine}-{digest}"
 
 
-async def probe(ssh: asyncssh.SSHClientConnection, host: Host, packages: Packages) -> dict[str, Any]:
+async def probe(ssh: asyncssh.SSHClientConnection, host: SshHost, packages: Packages) -> dict[str, Any]:
     """Properties and installed packages of a host.
 
     Raises EngineError, DiskFull or VersionMismatch if it is unsuitable.
@@ -259,7 +263,7 @@ async def probe(ssh: asyncssh.SSHClientConnection, host: Host, packages: Package
     return {**facts, "python": python, "key": environment, "lacks": missing}
 
 
-async def install(ssh: asyncssh.SSHClientConnection, host: Host, packages: Packages) -> Installed:
+async def install(ssh: asyncssh.SSHClientConnection, host: SshHost, packages: Packages) -> Installed:
     """Install missing packages; raises what `probe` raises."""
     facts = await probe(ssh, host, packages)
     folder = facts["folder"]
@@ -279,7 +283,7 @@ async def install(ssh: asyncssh.SSHClientConnection, host: Host, packages: Packa
 
 
 async def _copy_and_unpack(
-    ssh: asyncssh.SSHClientConnection, host: Host, wheels: list[Path], target: str, *, venv: bool
+    ssh: asyncssh.SSHClientConnection, host: SshHost, wheels: list[Path], target: str, *, venv: bool
 ) -> None:
     import asyncssh
 
@@ -294,7 +298,7 @@ async def _copy_and_unpack(
         raise EngineError(f"{host.called}: {target}: {error}") from None
 
 
-def _compare(host: Host, packages: Packages, remote: str, folder: str) -> None:
+def _compare(host: SshHost, packages: Packages, remote: str, folder: str) -> None:
     if remote != packages.version:
         raise VersionMismatch(
             f"{host.called}: its copy is mast-zenoh {remote}, the launcher {packages.version}: remove {folder} there"

@@ -32,7 +32,7 @@ from mast_zenoh.deploy.engine import (
     numeric_environment,
 )
 from mast_zenoh.deploy.ssh import connection, hostsfile
-from mast_zenoh.deploy.ssh.attachment import LEAVE_S, Attachment, ask_warden, attaching
+from mast_zenoh.deploy.ssh.attachment import LEAVE_S, WardenAttachment, ask_warden, attaching
 from mast_zenoh.deploy.ssh.connection import (
     Installed,
     Loop,
@@ -43,7 +43,7 @@ from mast_zenoh.deploy.ssh.connection import (
     together,
     write_file,
 )
-from mast_zenoh.deploy.ssh.hostsfile import LAUNCHER, Host
+from mast_zenoh.deploy.ssh.hostsfile import LAUNCHER, SshHost
 from mast_zenoh.errors import EngineError, Interrupted
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.processes import ENVIRONMENT
@@ -79,7 +79,7 @@ class Ssh(DeploymentEngine):
         """Check that all hosts with nodes or the router are reachable and suitable."""
         levels.check(secure)
 
-        async def probe(host: Host, packages: Packages) -> None:
+        async def probe(host: SshHost, packages: Packages) -> None:
             async with connected(host) as ssh:
                 await connection.probe(ssh, host, packages)
 
@@ -95,7 +95,7 @@ class Ssh(DeploymentEngine):
         """The state of every node; for an unreachable host, the reason."""
         places = _places(record)
 
-        async def states(host: Host, place: dict[str, Any]) -> list[dict[str, str]]:
+        async def states(host: SshHost, place: dict[str, Any]) -> list[dict[str, str]]:
             try:
                 answer = await ask_warden(host, place, "state")
             except EngineError as error:
@@ -119,7 +119,7 @@ class Ssh(DeploymentEngine):
             offsets[name] = len(content)
             _print(name, content, printing)
 
-        async def more(host: Host, place: dict[str, Any]) -> None:
+        async def more(host: SshHost, place: dict[str, Any]) -> None:
             host_offsets = {name: offsets[name] for name in place["nodes"] if name in offsets}
             if not host_offsets:
                 return
@@ -141,7 +141,7 @@ class Ssh(DeploymentEngine):
     def down(cls, folder: Path, record: dict[str, Any]) -> None:
         """End the run on all hosts; raises EngineError at the end for unreachable ones."""
 
-        async def end(host: Host, place: dict[str, Any]) -> None:
+        async def end(host: SshHost, place: dict[str, Any]) -> None:
             if await ask_warden(host, place, "leave", grace_s=1.0) is None:
                 async with connected(host) as ssh:
                     await connection.ask(ssh, host, "remove", place["run_folder"])
@@ -154,11 +154,11 @@ class Ssh(DeploymentEngine):
 # -- from the run folder alone -----------------------------------------------------------------------------------
 
 
-def _places(record: Mapping[str, Any]) -> list[tuple[Host, dict[str, Any]]]:
-    return [(Host(**place["reach"]), place) for place in record["deployment"]["hosts"].values()]
+def _places(record: Mapping[str, Any]) -> list[tuple[SshHost, dict[str, Any]]]:
+    return [(SshHost(**place["reach"]), place) for place in record["deployment"]["hosts"].values()]
 
 
-def _state_row(name: str, node: Mapping[str, Any] | None, host: Host) -> dict[str, str]:
+def _state_row(name: str, node: Mapping[str, Any] | None, host: SshHost) -> dict[str, str]:
     if node is None:
         return {"node": name, "state": "not there", "where": host.name}
     state = "running" if node["exit"] is None else f"ended ({node['exit']})"
@@ -177,7 +177,7 @@ def _print(name: str, content: bytes, printing: threading.Lock) -> None:
 class RemoteNode(Child):
     """A node's process on a host; start: id of the command that started it last."""
 
-    def __init__(self, name: str, spec: NodeSpec, attachment: Attachment) -> None:
+    def __init__(self, name: str, spec: NodeSpec, attachment: WardenAttachment) -> None:
         super().__init__(name, spec)
         self.attachment = attachment
         self.start = ""
@@ -208,19 +208,19 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
     grace_s = 5.0  # a node hands in its results over a network
     kill_s = 5.0  # an unreachable host ends its nodes by itself
 
-    def __init__(self, hosts_file: hostsfile.Hosts, context: RunContext, stack: ExitStack) -> None:
+    def __init__(self, hosts_file: hostsfile.HostsFile, context: RunContext, stack: ExitStack) -> None:
         super().__init__(context, stack)
         self.hosts_file = hosts_file
         self.placed = hosts_file.placed(context.resolved.nodes)
         self.hosts = hosts_file.used(context.resolved.nodes)
         self.loop = stack.enter_context(Loop(context.signals))
         self.changed = threading.Condition()
-        self.attachments: dict[str, Attachment] = {}
+        self.attachments: dict[str, WardenAttachment] = {}
         self.installed: dict[str, Installed] = {}
         self.reached_from: dict[str, str] = {}  # our address, as each host sees it
         self.endpoints: dict[str, str] = {}
         self.port = hosts_file.router.port
-        self.router_start: tuple[Attachment, str] | None = None  # its host, and id of the command that started it
+        self.router_start: tuple[WardenAttachment, str] | None = None  # its host, and id of the command that started it
 
     # -- startup -------------------------------------------------------------------------------------------------
 
@@ -237,14 +237,14 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
             self.endpoints[name] = levels.endpoint(self.context.secure, socket_)
         return {"hosts": {name: self._place(name) for name in self.hosts}}
 
-    def _on_all(self, do: Callable[[Host, asyncssh.SSHClientConnection], Any], *, whole: bool = False) -> None:
-        async def on(host: Host) -> None:
+    def _on_all(self, do: Callable[[SshHost, asyncssh.SSHClientConnection], Any], *, whole: bool = False) -> None:
+        async def on(host: SshHost) -> None:
             async with connected(host) as ssh:
                 await do(host, ssh)
 
         self.loop.run(together(*(on(host) for host in self.hosts.values())), whole=whole)
 
-    async def _install(self, host: Host, ssh: asyncssh.SSHClientConnection, packages: Packages) -> None:
+    async def _install(self, host: SshHost, ssh: asyncssh.SSHClientConnection, packages: Packages) -> None:
         self.installed[host.name] = await connection.install(ssh, host, packages)
         self.reached_from[host.name] = ssh.get_extra_info("sockname")[0]
 
@@ -276,7 +276,7 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
             self._start_router_on(self.hosts_file.router.on, deployment)
         return next(iter(self.endpoints.values()))
 
-    async def _start_warden(self, host: Host, ssh: asyncssh.SSHClientConnection) -> None:
+    async def _start_warden(self, host: SshHost, ssh: asyncssh.SSHClientConnection) -> None:
         installed = self.installed[host.name]
         words = ["env", f"PYTHONPATH={installed.release}", installed.python, "-m", "mast_zenoh.deploy.ssh.warden"]
         await connection.run(ssh, host, [*words, self._folder(host.name), str(self.hosts_file.patience_s + _LATER_S)])
@@ -284,7 +284,7 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
     def _attach(self) -> None:
         for name, host in self.hosts.items():
             command = attaching(self.context.record["deployment"]["hosts"][name])
-            self.attachments[name] = Attachment(host, command, self.changed, self._log)
+            self.attachments[name] = WardenAttachment(host, command, self.changed, self._log)
             self.loop.begin(self.attachments[name].stay())
 
     def _log(self, name: str, offset: int, piece: bytes) -> None:
@@ -342,7 +342,7 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
             deployment.close()  # the nodes have theirs
         self._on_all(self._reach_router)
 
-    async def _copy_credentials(self, host: Host, ssh: asyncssh.SSHClientConnection, deployment: Deployment) -> None:
+    async def _copy_credentials(self, host: SshHost, ssh: asyncssh.SSHClientConnection, deployment: Deployment) -> None:
         import asyncssh
 
         target = self._folder(host.name, CREDENTIALS)
@@ -358,7 +358,7 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
         except (asyncssh.Error, OSError) as error:
             raise EngineError(f"{host.called}: {target}: {error}") from None
 
-    async def _reach_router(self, host: Host, ssh: asyncssh.SSHClientConnection) -> None:
+    async def _reach_router(self, host: SshHost, ssh: asyncssh.SSHClientConnection) -> None:
         endpoint = self.endpoints[host.name]
         address, _, port = endpoint.partition("/")[2].rpartition(":")
         answer = await connection.ask(ssh, host, "reach", address.strip("[]"), port)
@@ -468,14 +468,14 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
         code = attachment.exit(ROUTER, start)
         return None if code is None else f" on {attachment.host.called} has ended: {how_ended(code)}"
 
-    def _tell(self, children: Iterable[RemoteNode], number: int) -> dict[Attachment, str]:
+    def _tell(self, children: Iterable[RemoteNode], number: int) -> dict[WardenAttachment, str]:
         """Send a signal to nodes; returns the ids of the commands."""
-        names_on: dict[Attachment, list[str]] = {}
+        names_on: dict[WardenAttachment, list[str]] = {}
         for child in children:
             names_on.setdefault(child.attachment, []).append(child.name)
         return {host: host.tell("signal", names=names, number=int(number)) for host, names in names_on.items()}
 
-    def _confirm(self, commands: Mapping[Attachment, str]) -> None:
+    def _confirm(self, commands: Mapping[WardenAttachment, str]) -> None:
         """Wait for the hosts; raises EngineError without an answer."""
         for attachment, command_id in commands.items():
             if attachment.answer(command_id, _ANSWER_S) is None and not attachment.gone:

@@ -34,7 +34,7 @@ def check_port(port: int, least: int) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reach:
+class SshAddress:
     """How to reach a host.
 
     user:        login name; empty: the name of the user who runs `mast`
@@ -60,7 +60,7 @@ class Reach:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Host(Reach):
+class SshHost(SshAddress):
     """A host, and which nodes run there.
 
     address: name or address
@@ -103,14 +103,14 @@ class Router:
 
 
 @dataclass(frozen=True)
-class Hosts:
+class HostsFile:
     """The content of hosts.toml.
 
     place: of the file; patience_s: how long nodes and the host's supervisor run without a launcher
     """
 
     place: str
-    hosts: dict[str, Host] = field(default_factory=dict)
+    hosts: dict[str, SshHost] = field(default_factory=dict)
     router: Router = Router()
     patience_s: float = 30.0
 
@@ -146,7 +146,7 @@ class Hosts:
                 host_of[name] = next(by_role.get(spec.role, remaining_hosts))
         return {name: host_of[name] for name in nodes}
 
-    def used(self, nodes: Mapping[str, NodeSpec]) -> dict[str, Host]:
+    def used(self, nodes: Mapping[str, NodeSpec]) -> dict[str, SshHost]:
         """The hosts that run nodes or the router."""
         names = {*self.placed(nodes).values(), self.router.on}
         return {name: host for name, host in self.hosts.items() if name in names}
@@ -163,7 +163,7 @@ class Hosts:
         return claims
 
 
-def read(path: Path) -> Hosts:
+def read(path: Path) -> HostsFile:
     """Read a hosts file; a ConfigurationError names the file and the path inside it."""
     try:
         text = path.read_text(encoding="utf-8")
@@ -173,7 +173,7 @@ def read(path: Path) -> Hosts:
     return parse(text, str(path))
 
 
-def parse(text: str, place: str) -> Hosts:
+def parse(text: str, place: str) -> HostsFile:
     """Parse a hosts file's text; a ConfigurationError names `place` and the path inside."""
     try:
         data = tomllib.loads(text)
@@ -191,16 +191,16 @@ def parse(text: str, place: str) -> Hosts:
     if not table("hosts"):
         raise ConfigurationError(f"{place}: hosts: found none, expected a table for each: [hosts.NAME]")
     defaults = table("defaults")
-    registry.construct(Reach, defaults, f"{place}: defaults")
+    registry.construct(SshAddress, defaults, f"{place}: defaults")
     hosts = {}
     for name, settings in table("hosts").items():
         path = f"{place}: hosts.{name}"
         own = registry.built(settings, dict[str, Any], path)
-        hosts[name] = registry.construct(Host, {**defaults, "address": "", **own, "name": name}, path)
+        hosts[name] = registry.construct(SshHost, {**defaults, "address": "", **own, "name": name}, path)
     router = registry.construct(Router, table("router"), f"{place}: router")
     if router.on not in (LAUNCHER, *hosts):
         raise ConfigurationError(f"{place}: router.on: no host {router.on!r}{nearest(router.on, [LAUNCHER, *hosts])}")
-    patience_s = registry.built(data.get("patience_s", Hosts.patience_s), float, f"{place}: patience_s")
+    patience_s = registry.built(data.get("patience_s", HostsFile.patience_s), float, f"{place}: patience_s")
     if not (math.isfinite(patience_s) and patience_s > 0):
         raise ConfigurationError(f"{place}: patience_s: found {patience_s}, expected seconds > 0")
-    return Hosts(place, hosts, router, patience_s)
+    return HostsFile(place, hosts, router, patience_s)

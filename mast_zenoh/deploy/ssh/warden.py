@@ -88,7 +88,7 @@ class NodeProcess:
         return {"node": self.name, "start": self.start, "pid": pid, "exit": self.process.poll(), "cpu_s": cpu_s}
 
 
-class Connection:
+class ConnectedClient:
     """A connected client; offsets: how much of each log was sent; None if it reads no logs."""
 
     def __init__(self, client: socket.socket) -> None:
@@ -111,7 +111,7 @@ class Warden:
         self.patience_s = patience_s
         self.nodes: dict[str, NodeProcess] = {}
         self.answers: dict[str, dict[str, Any]] = {}
-        self.connections: list[Connection] = []
+        self.connections: list[ConnectedClient] = []
         self.last_sign = self.last_touch = self.last_states = time.monotonic()
         self.leaves: dict[str, float] = {}  # by id of a leave command, when its nodes are killed
         self.has_left = False
@@ -159,11 +159,11 @@ class Warden:
     def _accept(self) -> None:
         client, _ = self.listener.accept()
         client.setblocking(False)
-        connection = Connection(client)
+        connection = ConnectedClient(client)
         self.connections.append(connection)
         self.selector.register(client, selectors.EVENT_READ, connection)
 
-    def _read(self, connection: Connection) -> None:
+    def _read(self, connection: ConnectedClient) -> None:
         try:
             received = connection.client.recv(_CHUNK_BYTES)
         except BlockingIOError:
@@ -177,13 +177,13 @@ class Warden:
         for line in lines:
             self._handle(connection, json.loads(line))
 
-    def _drop(self, connection: Connection) -> None:
+    def _drop(self, connection: ConnectedClient) -> None:
         if connection in self.connections:
             self.connections.remove(connection)
             self.selector.unregister(connection.client)
             connection.client.close()
 
-    def _handle(self, connection: Connection, message: dict[str, Any]) -> None:
+    def _handle(self, connection: ConnectedClient, message: dict[str, Any]) -> None:
         if "as" in message:
             for other in [client for client in self.connections if client.is_launcher and message["as"] == "launcher"]:
                 self._drop(other)  # an old connection, whose loss this side has not noticed yet
@@ -307,7 +307,7 @@ class Warden:
         for node in ended:
             node.reported = True
 
-    def _queue_logs(self, connection: Connection, max_queued: float) -> None:
+    def _queue_logs(self, connection: ConnectedClient, max_queued: float) -> None:
         """Queue new output of all processes in turn, up to `max_queued` queued bytes."""
         if connection.offsets is None:
             return
@@ -315,7 +315,7 @@ class Warden:
         while names and len(connection.queued) < max_queued:
             names = {name for name in names if self._queue_log(connection, connection.offsets, name)}
 
-    def _queue_log(self, connection: Connection, offsets: dict[str, int], name: str) -> bool:
+    def _queue_log(self, connection: ConnectedClient, offsets: dict[str, int], name: str) -> bool:
         offset = offsets.get(name, 0)
         with (self.folder / "logs" / f"{name}.log").open("rb") as file:
             file.seek(offset)

@@ -52,7 +52,7 @@ class Hosts:
         self.done: list[dict[str, Any]] = []
         self._host_of = {node: name for name, host in spec["hosts"].items() for node in host["nodes"]}
         self._states = {name: LinkState() for name in spec["hosts"]}
-        self._links: dict[str, _Link] = {}
+        self._links: dict[str, _HostLink] = {}
         self._processes: list[_Process] = []
         self._resources = ExitStack()
         self._changing = threading.Lock()
@@ -117,7 +117,7 @@ class Hosts:
         for number, (name, host) in enumerate(self.spec["hosts"].items(), 1):
             namespace = self._namespace(owner.name(str(number)))
             delayed_by = (host["delay_by"] or delays_by) if host["delayed"] else None
-            link = _Link(self._centre, namespace, f"host{number}", delayed_by)
+            link = _HostLink(self._centre, namespace, f"host{number}", delayed_by)
             if delayed_by == "relay":
                 link.relay = self._process(f"relay_{name}", "relay", link.ends())
             else:
@@ -185,7 +185,7 @@ def _drops(state: LinkState) -> tuple[bool, float]:
     return state.cut, state.loss
 
 
-class _Link:
+class _HostLink:
     """The link of one host.
 
     device: its name at the centre;  delayed_by: "netem", "relay" or None

@@ -9,7 +9,7 @@ from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 from matplotlib.path import Path as Curve
 
 from mast_zenoh.report.figures.style import Figure, plain
-from mast_zenoh.report.tables.wiring import GAP, HIGH, ROW, WIDE, Layout, Spot, column_of, layout, live_frames
+from mast_zenoh.report.tables.wiring import GAP, HIGH, ROW, WIDE, DiagramLayout, Spot, column_of, layout, live_frames
 from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAINT, FAULT_ON_LIGHT, INK, LOCAL, RUN_COLOURS
 
@@ -41,7 +41,7 @@ def draw_wiring(run: Run) -> Figure | None:
     return figure
 
 
-def _route(run: Run, plan: Layout, source: Spot, target: Spot) -> Curve:
+def _route(run: Run, plan: DiagramLayout, source: Spot, target: Spot) -> Curve:
     """The path of a line: bent where many lines meet, and straight past interposers."""
     (ax, ay), (bx, by) = plan.places[source], plan.places[target]
     if _is_above_flow(run, plan, source) or _is_above_flow(run, plan, target):  # to and from a node above the flow
@@ -67,7 +67,7 @@ def _is_attacker(run: Run, node: str) -> bool:
     return run.role(node) in ("adversary", "coordinator")
 
 
-def _is_above_flow(run: Run, plan: Layout, spot: Spot) -> bool:
+def _is_above_flow(run: Run, plan: DiagramLayout, spot: Spot) -> bool:
     """Whether a node is drawn above the flow."""
     return column_of(run, spot.node) is None and plan.places[spot][1] <= -1.2 * ROW
 
@@ -106,7 +106,7 @@ def _draw_node(axes: Axes, run: Run, node: str, x: float, y: float, when: str) -
     axes.text(x, y, plain(label), ha="center", va="center", fontsize=9.5, color=edge if hostile else INK, zorder=3)
 
 
-def _name_lines(axes: Axes, run: Run, plan: Layout) -> None:
+def _name_lines(axes: Axes, run: Run, plan: DiagramLayout) -> None:
     """Label lines once per gap between columns, and lines back and above the flow."""
     columns = sorted({x for spot, (x, _) in plan.places.items() if column_of(run, spot.node) is not None})
     labels: dict[tuple[float, float, str, str], list[str]] = {}

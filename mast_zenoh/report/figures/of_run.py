@@ -69,10 +69,12 @@ class Birdseye(RunFigure):
         return f"{caption} {context.frame_note}".strip()
 
 
-class Camera(RunFigure):
+class CameraFigure(RunFigure):
     """The same frame through the ego's camera (the middle strip of its image). The front of each box is filled.
     Boxes are drawn through walls: what the ego's own sensors cannot see, the picture can show.
     """
+
+    name = "camera"
 
     def draw(self, context: FigureContext) -> Figure | None:
         return None if context.view is None else camera_figure(context.view)
@@ -82,8 +84,10 @@ class Camera(RunFigure):
         return f"The ego's camera view, {context.view.time_label}: its own tracks above, with the picture below."
 
 
-class Counts(RunFigure):
+class CountsFigure(RunFigure):
     """Missed and false objects and RMSE over time, next to the reference run's."""
+
+    name = "counts"
 
     def draw(self, context: FigureContext) -> Figure | None:
         reference = context.reference
@@ -127,10 +131,12 @@ class Driven(RunFigure):
         return caption if context.reference is None else f"{caption} Broken lines: {context.reference.name}."
 
 
-class Driving(RunFigure):
+class DrivingFigure(RunFigure):
     """Open loop: the ego keeps to the path that it drove in the scene, and at each moment looks at what is in its
     corridor. Times to collision above 10 s are not drawn. Wrong objects: false and missed ones.
     """
+
+    name = "driving"
 
     def draw(self, context: FigureContext) -> Figure | None:
         return driving_over_time(context.run, context.frame)
@@ -139,9 +145,10 @@ class Driving(RunFigure):
         return "Time to collision, wrong objects in the corridor and braking over time: truth, ego alone, with picture."
 
 
-class Wiring(RunFigure):
+class WiringFigure(RunFigure):
     """The nodes and the data between them."""
 
+    name = "wiring"
     vector = True
 
     def draw(self, context: FigureContext) -> Figure | None:
@@ -164,11 +171,13 @@ class Wiring(RunFigure):
         return caption
 
 
-class Trust(RunFigure):
+class TrustFigure(RunFigure):
     """The command centre's trust in each agent, and when it was suspended, undecided or taken to be faulty. Below each
     line: when adversaries changed what the agent sent, as measured on its wires, and when faults of the timeline acted
     on it.
     """
+
+    name = "trust"
 
     def draw(self, context: FigureContext) -> Figure | None:
         return trust_over_time(context.run, context.frame)
@@ -187,7 +196,16 @@ class Trust(RunFigure):
 
 
 #: In the order in which they are drawn. The page has a place for each.
-OURS: tuple[type[RunFigure], ...] = (Birdseye, Trust, Camera, Counts, Causes, Driven, Driving, Wiring)
+OURS: tuple[type[RunFigure], ...] = (
+    Birdseye,
+    TrustFigure,
+    CameraFigure,
+    CountsFigure,
+    Causes,
+    Driven,
+    DrivingFigure,
+    WiringFigure,
+)
 
 
 def run_figures(context: FigureContext) -> dict[str, RenderedFigure]:

@@ -28,14 +28,14 @@ _MOST_FPS = 120.0
 _MOST_GIF_FPS = 50.0
 
 
-class Schedule(NamedTuple):
+class FilmSchedule(NamedTuple):
     """frames: of the run, one for each image of the film;  fps: images per second"""
 
     frames: Sequence[int]
     fps: float
 
 
-def schedule(take: Take, start: int | None, end: int | None, speed: float, fps: float | None) -> Schedule:
+def schedule(take: Take, start: int | None, end: int | None, speed: float, fps: float | None) -> FilmSchedule:
     """The frames of a film.
 
     start, end: first and last frame, None: of the run, but at most MOST_FRAMES
@@ -54,10 +54,10 @@ def schedule(take: Take, start: int | None, end: int | None, speed: float, fps: 
         raise ConfigurationError(f"fps: found {fps:g}, expected 0.1 to {_MOST_FPS:g}")
     native = speed / take.run.period_s
     if fps is None and native <= _SMOOTH_FPS:
-        return Schedule(range(first, last + 1), native)
+        return FilmSchedule(range(first, last + 1), native)
     fps = fps or _SMOOTH_FPS
     count = max(1, math.ceil((last + 1 - first) / native * fps - 1e-9))
-    return Schedule([min(first + math.floor(k * native / fps + 1e-9), last) for k in range(count)], fps)
+    return FilmSchedule([min(first + math.floor(k * native / fps + 1e-9), last) for k in range(count)], fps)
 
 
 def check_in_take(take: Take, frame: int) -> int:

@@ -133,7 +133,7 @@ class Spot(NamedTuple):
 
 
 @dataclass(slots=True)
-class Line:
+class DiagramLine:
     """A line between two nodes.
 
     messages: types; intercepted: by an adversary; linked: with a link on the wire
@@ -145,7 +145,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class DiagramLayout:
     """The layout of the diagram, in inches, y downwards.
 
     places: (x, y) of the centre of every spot
@@ -154,11 +154,11 @@ class Layout:
     """
 
     places: dict[Spot, tuple[float, float]]
-    lines: dict[tuple[Spot, Spot], Line]
+    lines: dict[tuple[Spot, Spot], DiagramLine]
     floor: float
 
 
-def layout(run: Run) -> Layout | None:
+def layout(run: Run) -> DiagramLayout | None:
     """Place the nodes of a run in columns along the flow of a frame.
 
     None: there is nothing to draw.
@@ -209,7 +209,7 @@ def layout(run: Run) -> Layout | None:
             places[other][0] for pair in lines if spot in pair for other in pair if other in places and other != spot
         ]
         places[spot] = (sum(near) / len(near) if near else column_x[1]) + index * (WIDE + 0.2), above
-    return Layout(places, lines, max(y for _, y in places.values()) + 0.8)
+    return DiagramLayout(places, lines, max(y for _, y in places.values()) + 0.8)
 
 
 def _orders(wire: Mapping[str, Any]) -> dict[str, tuple[int, str]]:
@@ -247,12 +247,12 @@ def _grouped(run: Run, wire: dict[str, Any]) -> dict[str, Any]:
     return {**wire, "subscribers": grouped(wire["subscribers"]), "legs": legs}
 
 
-def _lines(run: Run, wires: Sequence[Mapping[str, Any]]) -> dict[tuple[Spot, Spot], Line]:
+def _lines(run: Run, wires: Sequence[Mapping[str, Any]]) -> dict[tuple[Spot, Spot], DiagramLine]:
     columns_by_node: dict[str, int] = {}
     for wire in wires:
         for node in wire.get("interposers", ()):
             columns_by_node[node] = min(columns_by_node.get(node, len(_COLUMNS)), _gap(run, wire))
-    lines: dict[tuple[Spot, Spot], Line] = defaultdict(Line)
+    lines: dict[tuple[Spot, Spot], DiagramLine] = defaultdict(DiagramLine)
     for wire in wires:
         chain = wire.get("interposers", ())
         branched = any(leg.get("before") for leg in wire.get("legs", ()))

@@ -115,7 +115,7 @@ JOINED, LEFT, REWIRED = "joined", "left", "rewired"
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class RecordedEvent:
     """A change of the run after a frame.
 
     what:   JOINED, LEFT or REWIRED
@@ -138,7 +138,7 @@ class Event:
         return values | {"node": self.node, "role": self.role}
 
     @classmethod
-    def from_metadata(cls, values: Mapping[str, str]) -> Event:
+    def from_metadata(cls, values: Mapping[str, str]) -> RecordedEvent:
         """The event that `to_metadata` wrote; raises KeyError or ValueError otherwise."""
         if values["what"] == REWIRED:
             wiring = parse_json(values["wiring"])

@@ -33,7 +33,7 @@ from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
 from mast_zenoh.run_folder import check_plain, read_object
-from mast_zenoh.run_folder.recording.format import EVENT, ORDER, STEPS, Event, user_schema
+from mast_zenoh.run_folder.recording.format import EVENT, ORDER, STEPS, RecordedEvent, user_schema
 from mast_zenoh.run_folder.recording.writer import FILE
 
 _RECORD = struct.Struct("<BQ")
@@ -170,14 +170,14 @@ def read(path: Path, wanted: Wanted | None = None, times_ns: Ints | None = None)
                 yield message
 
 
-def events(path: Path) -> list[Event]:
+def events(path: Path) -> list[RecordedEvent]:
     """The changes of a run in order; empty for a recording of an earlier version.
 
     Raises RunFolderError if there is no recording, or if it is damaged before its end.
     """
     path = file_of(path)
     with _open(path) as file:
-        return [record for record in _records(file, path) if isinstance(record, Event)]
+        return [record for record in _records(file, path) if isinstance(record, RecordedEvent)]
 
 
 class Extent(NamedTuple):
@@ -216,7 +216,7 @@ def _open(path: Path) -> IO[bytes]:
         raise RunFolderError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
-def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End]:
+def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | RecordedEvent | _End]:
     """All whole chunks and events in order, and the end unless the file is truncated."""
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise RunFolderError(f"{path}: does not begin as an MCAP file")
@@ -245,7 +245,7 @@ def _records(file: IO[bytes], path: Path) -> Iterator[_ChunkIndex | Event | _End
                 if record.name in (STEPS, ORDER):
                     chunk_metadata[record.name] = {int(place): int(number) for place, number in record.metadata.items()}
                 elif record.name == EVENT:
-                    yield Event.from_metadata(record.metadata)
+                    yield RecordedEvent.from_metadata(record.metadata)
             except (McapError, ValueError, KeyError, struct.error) as error:
                 raise RunFolderError(f"{path}: byte {byte}: damaged metadata: {error}") from None
         elif opcode not in _BETWEEN_CHUNKS:

@@ -19,7 +19,7 @@ from mast_zenoh.run_folder.recording.format import (
     PROFILE,
     SCHEMA_ENCODING,
     STEPS,
-    Event,
+    RecordedEvent,
     json_schema,
     metadata,
     wire_and_key,
@@ -135,7 +135,7 @@ class MessageLog:
         number = self._n_malformed[key] - 1
         self._add(key, _Entry(0, frame, number, 0, time_ns, self._channels[name], payload, step, True))
 
-    def add_event(self, event: Event) -> None:
+    def add_event(self, event: RecordedEvent) -> None:
         """Add a change of the run; it is lost if there is a problem."""
         if not self.problem:
             self._write(lambda: self._writer.add_metadata(EVENT, event.to_metadata()))

@@ -21,7 +21,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.live.address import LiveAddress
 from mast_zenoh.runs.live.observer import SETTLING, Observer
-from mast_zenoh.runs.live.reception import Arrival, Sample
+from mast_zenoh.runs.live.reception import ArrivedMessage, Sample
 
 #: s between two looks at what has arrived.
 POLL_S = 0.01
@@ -158,7 +158,7 @@ class FrameAssembler:
         return all(self._newest[key] >= self._next for key in awaited)
 
 
-class EveryFrame:
+class FrameReceiver:
     """Receives every frame of a running run; it is no member of the mesh, and no node waits for it.
 
     session: a client of the run's router, with the viewer's credentials if the mesh is secure
@@ -218,7 +218,7 @@ class EveryFrame:
         down = self.observer.down
         return {leg.key for _, leg in self._wiring.legs() if leg.publisher.node in down} if down else ()
 
-    def _add(self, arrived: Iterable[Arrival]) -> None:
+    def _add(self, arrived: Iterable[ArrivedMessage]) -> None:
         if self.observer.wiring is not self._wiring:
             self._wiring, self._types = self.observer.wiring, self.observer.types
             self._assembler.follow(self._keys(), self.observer.clock_key)

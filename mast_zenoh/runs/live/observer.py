@@ -14,7 +14,7 @@ from mast_zenoh.control import prefix
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.live.address import LiveAddress
 from mast_zenoh.runs.live.measurement import FrameMeter, seen
-from mast_zenoh.runs.live.reception import KEPT, Arrival, Reception, WireMeter, WireState
+from mast_zenoh.runs.live.reception import KEPT, ArrivedMessage, Reception, WireMeter, WireState
 from mast_zenoh.wiring.model import Wiring
 
 #: Most frames a second that are measured.
@@ -179,7 +179,7 @@ class Observer:
             self._listening = everything
             self._receive(everything=everything)
 
-    def keep_up(self) -> list[Arrival]:
+    def keep_up(self) -> list[ArrivedMessage]:
         """Follow changes of the run without measuring frames; returns what has arrived."""
         self._take_updates()
         arrived = self._reception.poll()

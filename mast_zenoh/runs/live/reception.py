@@ -34,7 +34,7 @@ class Sample(NamedTuple):
     payload: bytes
 
 
-class Arrival(NamedTuple):
+class ArrivedMessage(NamedTuple):
     """A message of a key that has just arrived. step: frame of the run in which it was sent"""
 
     key: str
@@ -70,7 +70,7 @@ class Reception:
                 self._subscribers[key] = self._session.declare_subscriber(f"{self._prefix}/{key}", ring)
                 self._kept[key] = deque(maxlen=KEPT)
 
-    def poll(self) -> list[Arrival]:
+    def poll(self) -> list[ArrivedMessage]:
         """Take what has arrived, and return it, key by key; messages from outside the run are left out."""
         arrived = []
         for key, subscriber in self._subscribers.items():
@@ -79,7 +79,7 @@ class Reception:
                 _, step = stamp_of(sample.attachment, key)
                 if 0 <= step < self._end:
                     kept.append((step, sample.payload))
-                    arrived.append(Arrival(key, step, sample.payload))
+                    arrived.append(ArrivedMessage(key, step, sample.payload))
         return arrived
 
     def newest_step(self, key: str) -> int:

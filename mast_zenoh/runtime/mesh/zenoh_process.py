@@ -27,13 +27,13 @@ from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.node import Node
-from mast_zenoh.runtime.host import Link
+from mast_zenoh.runtime.host import OpenedOutside
 from mast_zenoh.runtime.outside_link import OutsideLink
 from mast_zenoh.runtime.protocol import events
 from mast_zenoh.runtime.protocol.actions import DOZE_S, DRAIN_TIMEOUT_S, OFFER_TIMEOUT_S, Actions, Clocks
 from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
 from mast_zenoh.runtime.protocol.node import HAND_IN_TIMEOUT_S
-from mast_zenoh.runtime.protocol.traffic import Inbox, Item, ProcessContext, stamp_of
+from mast_zenoh.runtime.protocol.traffic import EventInbox, Item, ProcessContext, stamp_of
 from mast_zenoh.runtime.protocol_log import logged_protocol
 
 T = TypeVar("T")
@@ -95,7 +95,7 @@ class ZenohProcess(Actions):
         self._n_queued = 0  # messages put into the inbox, counted by Zenoh's thread
         self._n_handled = 0  # of them, those that the main thread has handled; counted after it released the lock
         self._queue: queue.SimpleQueue[Item] = queue.SimpleQueue()
-        self.inbox = Inbox(self._queue.put, threading.Lock())
+        self.inbox = EventInbox(self._queue.put, threading.Lock())
         clocks = Clocks(time.monotonic_ns, time.process_time)
         context = ProcessContext(self, self.inbox, clocks, os.urandom(8).hex(), signatures)
         build = protocol_of if write is None else partial(logged_protocol, write)
@@ -133,7 +133,7 @@ class ZenohProcess(Actions):
         """Have the node hand in its results and end; from any thread, or a signal handler."""
         self.protocol.request_stop(reason)
 
-    def _open_link(self) -> Link | None:
+    def _open_link(self) -> OpenedOutside | None:
         """Open the node's link to programs outside the run, if it has topics there."""
         protocol = self.protocol
         topics = protocol.host.node.outside_topics(protocol.host)

@@ -22,7 +22,7 @@ from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.protocol.actions import Query
 from mast_zenoh.runtime.protocol.events import CountsEvent, Event, PresenceEvent, RewireEvent, StopEvent
 from mast_zenoh.runtime.protocol.node import MAX_FRAMES, NodeProtocol
-from mast_zenoh.runtime.protocol.pacer import Membership, Pacer, Presence, waits_for_listeners
+from mast_zenoh.runtime.protocol.pacer import Membership, Pacer, TokenPresence, waits_for_listeners
 from mast_zenoh.runtime.protocol.rewiring import Rewiring
 from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.runtime.protocol.traffic import ProcessContext
@@ -113,7 +113,7 @@ class DriverProtocol(NodeProtocol):
 
     def receive_presence(self, node: str, present: bool) -> None:
         """Receive a change of a node's liveliness token."""
-        self.inbox.put_newest(PresenceEvent(node, Presence(not present, present)))
+        self.inbox.put_newest(PresenceEvent(node, TokenPresence(not present, present)))
 
     def receive_rewire(self, query: Query, payload: bytes) -> None:
         """Receive a request to change the wiring; refuse malformed ones."""

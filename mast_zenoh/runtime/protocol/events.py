@@ -10,9 +10,9 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from mast_zenoh.control.flow import Counts, Epoch, Rewire
+from mast_zenoh.control.flow import Epoch, MessageCounts, Rewire
 from mast_zenoh.runtime.protocol.actions import Query
-from mast_zenoh.runtime.protocol.pacer import Presence
+from mast_zenoh.runtime.protocol.pacer import TokenPresence
 
 
 class Event(msgspec.Struct, frozen=True, tag=True, array_like=True):
@@ -100,13 +100,13 @@ class NewestEvent(Event, frozen=True):
 class CountsEvent(NewestEvent, frozen=True):
     """A node's report."""
 
-    counts: Counts
+    counts: MessageCounts
 
 
 class PresenceEvent(NewestEvent, frozen=True):
     """A node's token has appeared or gone."""
 
-    presence: Presence
+    presence: TokenPresence
 
     def after(self, waiting: PresenceEvent) -> PresenceEvent:
         return PresenceEvent(self.node, waiting.presence.followed_by(self.presence))

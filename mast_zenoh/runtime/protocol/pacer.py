@@ -179,15 +179,15 @@ def _first(counters: Mapping[str, int], known: Collection[str]) -> str:
 MAX_LOSSES = 50
 
 
-class Presence(NamedTuple):
+class TokenPresence(NamedTuple):
     """A liveliness token: whether it disappeared since the last look, and exists now."""
 
     gone: bool
     present: bool
 
-    def followed_by(self, newer: Presence) -> Presence:
+    def followed_by(self, newer: TokenPresence) -> TokenPresence:
         """This change and a newer one combined."""
-        return Presence(self.gone or newer.gone, newer.present)
+        return TokenPresence(self.gone or newer.gone, newer.present)
 
 
 class Membership:
@@ -218,7 +218,7 @@ class Membership:
         """Whether `members` differ from the present nodes."""
         return bool(self.replaced) or (self.alive & self.expected.keys()) != members.keys()
 
-    def note(self, name: str, presence: Presence, frame: int, members: Collection[str]) -> str:
+    def note(self, name: str, presence: TokenPresence, frame: int, members: Collection[str]) -> str:
         """Note that a node has gone, has appeared, or both; returns why the run must end, or "".
 
         members: of the current epoch, those that have taken part

@@ -36,7 +36,7 @@ CHANGE_TIMEOUT_NS = 20_000_000_000  #: for all nodes to report an epoch of a cha
 
 
 @dataclass(eq=False)
-class Change:
+class WiringChange:
     """A requested change of the wiring; frame: the first that may use the new wiring. Times in ns."""
 
     wiring: Wiring
@@ -70,15 +70,15 @@ class Rewiring:
     frame: Callable[[], int]
     begin_epoch: Callable[[], None]
     update: WiringUpdate | None = None
-    _waiting: deque[Change] = field(default_factory=deque)
-    _change: Change | None = None
+    _waiting: deque[WiringChange] = field(default_factory=deque)
+    _change: WiringChange | None = None
     _epoch_began_ns: int = 0
 
     def add(self, request: Rewire, query: Query) -> str:
         """Queue a change; returns why it is refused if too many wait, else ""."""
         if len(self._waiting) >= MAX_WAITING:
             return f"rewire: more than {MAX_WAITING} changes wait"
-        self._waiting.append(Change(*request, query, self.now_ns()))
+        self._waiting.append(WiringChange(*request, query, self.now_ns()))
         return ""
 
     @property
@@ -113,10 +113,10 @@ class Rewiring:
         self._reply(change, frame=change.frame, took_ms=took_ms)
         return self._begin()
 
-    def _joined(self, change: Change) -> bool:
+    def _joined(self, change: WiringChange) -> bool:
         return change.join.keys() <= self.membership.alive
 
-    def _is_late(self, change: Change) -> bool:
+    def _is_late(self, change: WiringChange) -> bool:
         return self.now_ns() - change.requested_ns > CHANGE_TIMEOUT_NS
 
     def _begin(self) -> bool:
@@ -134,7 +134,7 @@ class Rewiring:
         self._announce(WiringUpdate(change.wiring, False, change.leave))
         return True
 
-    def _cancel(self, change: Change, reason: str) -> bool:
+    def _cancel(self, change: WiringChange, reason: str) -> bool:
         """Cancel a change before any node has switched: the wiring remains unchanged."""
         for name in change.join:
             self.membership.expected.pop(name, None)
@@ -150,7 +150,7 @@ class Rewiring:
         self.pacer.rewire(update.wiring)
         self.begin_epoch()
 
-    def _reply(self, change: Change, **answer: Any) -> None:
+    def _reply(self, change: WiringChange, **answer: Any) -> None:
         """Answer the query with the outcome of a change."""
         self.actions.answer(change.query, encode(Rewired(**answer)))
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager
 from typing import NamedTuple
 
-from mast_zenoh.control.key_marks import MARK, MARK_BYTES, Attachment, key_mark
+from mast_zenoh.control.key_marks import MARK, MARK_BYTES, ZenohAttachment, key_mark
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.runtime.protocol.actions import Actions, Clocks
@@ -32,7 +32,7 @@ def stamp(key: str, epoch: int, step: int) -> bytes:
     return ATTACHMENT.pack(key_mark(key), epoch, step)
 
 
-def stamp_of(attachment: Attachment | None, key: str) -> tuple[int, int]:
+def stamp_of(attachment: ZenohAttachment | None, key: str) -> tuple[int, int]:
     """Epoch and step of the attachment of a message that has arrived on a key; else FOREIGN or MISDIRECTED."""
     if attachment is None or len(attachment) not in (ATTACHMENT.size, MARK_BYTES):
         return FOREIGN
@@ -48,7 +48,7 @@ def stamp_of(attachment: Attachment | None, key: str) -> tuple[int, int]:
 Item = tuple[Event, str, int]
 
 
-class Inbox:
+class EventInbox:
     """Puts events into a queue.
 
     Messages of wires are limited by source. What a DroppedEvent or a NewestEvent says is as of when it is taken.
@@ -124,7 +124,7 @@ class ProcessContext(NamedTuple):
     """
 
     actions: Actions
-    inbox: Inbox
+    inbox: EventInbox
     clocks: Clocks
     process: str
     signatures: Signatures

@@ -16,7 +16,7 @@ from mast_zenoh.scenes.generated.differing_drivers import with_differing_drivers
 from mast_zenoh.scenes.generated.driven import DrivenTraffic, JunctionWorld
 from mast_zenoh.scenes.generated.junction import PAVEMENT, PAVEMENT_END, REACH, ROAD, Arm, arms_of, corners, plan
 from mast_zenoh.scenes.generated.parked import ParkedCars, parked_cars
-from mast_zenoh.scenes.generated.traffic import Motion, Movers, Network, Traffic, road_users
+from mast_zenoh.scenes.generated.traffic import LaneNetwork, Motion, Movers, Traffic, road_users
 from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent, equip
 from mast_zenoh.scenes.making.virtual_agents import POLE_HEIGHT_M, POLE_PITCH_DEG, roof_sensors
@@ -235,7 +235,7 @@ class _Junction:
     """What no seed changes. buildings: outlines and heights; vehicles, bicycles, pedestrians: usual numbers"""
 
     arms: tuple[Arm, ...]
-    network: Network
+    network: LaneNetwork
     buildings: tuple[tuple[Floats, ...], Floats]
     vehicles: int
     bicycles: int
@@ -248,7 +248,7 @@ def _junction(scene_index: int) -> _Junction:
     layout = stream(scene_index, "intersection")
     arms = _arms(scene_index, layout)
     density = layout.uniform(3.2, 4.8)  # motor vehicles per lane
-    network = Network.of(plan(arms), green_s=float(layout.uniform(11.0, 16.0)), red_s=2.0)
+    network = LaneNetwork.of(plan(arms), green_s=float(layout.uniform(11.0, 16.0)), red_s=2.0)
     buildings = rows_of_buildings(arms, layout)
     vehicles = round(sum(arm.lanes for arm in arms) * density)
     return _Junction(arms, network, buildings, vehicles, int(layout.integers(3, 7)), int(layout.integers(7, 14)))
@@ -325,7 +325,7 @@ def _arms(scene_index: int, random: np.random.Generator) -> tuple[Arm, ...]:
     return arms_of(list(np.radians(angles)), [main, cross, main, cross][: len(degrees)])
 
 
-def _choose_ego(network: Network, motion: Motion, cars: Ints, window: int) -> tuple[int, int]:
+def _choose_ego(network: LaneNetwork, motion: Motion, cars: Ints, window: int) -> tuple[int, int]:
     """The first frame and the ego, a moving car that crosses the junction."""
     crossing: Bools = network.origin[motion.path[:, cars]] >= 0
     travelled = np.concatenate([np.zeros((1, len(cars))), np.cumsum(motion.speed[:, cars], axis=0)])

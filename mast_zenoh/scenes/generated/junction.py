@@ -20,7 +20,7 @@ SPACING = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class SampledCurve:
     """An evenly sampled curve.
 
     points:    (k, 2) m
@@ -35,7 +35,7 @@ class Path:
     length: float
 
     @classmethod
-    def through(cls, points: Floats) -> Path:
+    def through(cls, points: Floats) -> SampledCurve:
         """The path along a dense polyline (m, 2); consecutive duplicate points are merged."""
         steps = np.hypot(*np.diff(points, axis=0).T)
         keep = np.concatenate([[True], steps > 1e-9])
@@ -83,7 +83,7 @@ def bend(start: Floats, heading: float, end: Floats, end_heading: float) -> Floa
             + strength * start_tangent * (t - 6 * t**3 + 8 * t**4 - 3 * t**5)
             + strength * end_tangent * (-4 * t**3 + 7 * t**4 - 3 * t**5)
         )
-        peak_curvature = float(np.abs(Path.through(curve).curvature).max())
+        peak_curvature = float(np.abs(SampledCurve.through(curve).curvature).max())
         if best is None or peak_curvature < best[0]:
             best = peak_curvature, curve
     assert best is not None
@@ -111,7 +111,7 @@ def oval(middle: Floats, half_width: float) -> Floats:
     The loop is `half_width` m from the line: out on its right, half a turn to the left, back on its left, half a turn.
     The seam is on the way out, where the line is nearly straight, so that the direction is continuous.
     """
-    path = Path.through(middle)
+    path = SampledCurve.through(middle)
     normal = np.stack([-np.sin(path.yaw), np.cos(path.yaw)], axis=1) * half_width
     right, left = path.points - normal, (path.points + normal)[::-1]
     far = arc(path.points[-1], half_width, path.yaw[-1] - np.pi / 2, np.pi)
@@ -136,7 +136,7 @@ class PathTable:
     limit: Floats
 
     @classmethod
-    def of(cls, paths: Sequence[Path], lateral: float, braking: float) -> PathTable:
+    def of(cls, paths: Sequence[SampledCurve], lateral: float, braking: float) -> PathTable:
         """A table of `paths` with speed limits.
 
         lateral, braking: m/s^2, maximum acceleration across and along the path
@@ -221,7 +221,7 @@ class Arm:
 
 
 @dataclass(frozen=True, eq=False)
-class Lane:
+class JunctionLane:
     """One path of the plan.
 
     user:   ROAD, BIKE, CROSSER or WALKER
@@ -233,7 +233,7 @@ class Lane:
     """
 
     user: int
-    path: Path
+    path: SampledCurve
     follow: tuple[int, ...]
     arm: int
     target: int
@@ -264,30 +264,30 @@ def arms_of(angles: list[float], lanes: list[int]) -> tuple[Arm, ...]:
     return tuple(arms)
 
 
-def plan(arms: tuple[Arm, ...]) -> tuple[Lane, ...]:
+def plan(arms: tuple[Arm, ...]) -> tuple[JunctionLane, ...]:
     """All lanes of a junction with these arms."""
-    lanes: list[Lane] = []
+    lanes: list[JunctionLane] = []
     approach: dict[tuple[int, int], int] = {}
     for a, arm in enumerate(arms):
         for slot in range(arm.lanes + 1):
             approach[a, slot] = len(lanes)
-            lanes.append(Lane(BIKE if slot == arm.lanes else ROAD, _approach(arm, slot), (), a, -1, 0.0))
+            lanes.append(JunctionLane(BIKE if slot == arm.lanes else ROAD, _approach(arm, slot), (), a, -1, 0.0))
     for (a, slot), row in approach.items():
         for b, exit_slot in _exits(arms, a, slot):
             start = arms[a].world(np.array([[arms[a].stop, arms[a].offset(slot)]]))[0]
             end = arms[b].world(np.array([[arms[b].stop, -arms[b].offset(exit_slot)]]))[0]
-            path = Path.through(bend(start, arms[a].angle + np.pi, end, arms[b].angle))
-            lanes.append(Lane(lanes[row].user, path, (approach[b, exit_slot],), a, b, _turn(arms, a, b)))
+            path = SampledCurve.through(bend(start, arms[a].angle + np.pi, end, arms[b].angle))
+            lanes.append(JunctionLane(lanes[row].user, path, (approach[b, exit_slot],), a, b, _turn(arms, a, b)))
             lanes[row] = _with_successor(lanes[row], len(lanes) - 1)
     for a, arm in enumerate(arms):
         lanes += _crossing(arm, a, len(lanes))
     for a in range(len(arms)):
-        lanes.append(Lane(WALKER, Path.through(_pavement(arms, a)), (len(lanes),), a, -1, 0.0))
+        lanes.append(JunctionLane(WALKER, SampledCurve.through(_pavement(arms, a)), (len(lanes),), a, -1, 0.0))
     return tuple(lanes)
 
 
-def _with_successor(lane: Lane, row: int) -> Lane:
-    return Lane(lane.user, lane.path, (*lane.follow, row), lane.arm, lane.target, lane.turn)
+def _with_successor(lane: JunctionLane, row: int) -> JunctionLane:
+    return JunctionLane(lane.user, lane.path, (*lane.follow, row), lane.arm, lane.target, lane.turn)
 
 
 def _turn(arms: tuple[Arm, ...], a: int, b: int) -> float:
@@ -315,7 +315,7 @@ def _exits(arms: tuple[Arm, ...], a: int, slot: int) -> list[tuple[int, int]]:
     return exits or [(b, min(slot, arms[b].lanes - 1)) for b in (left or right)[:1]]
 
 
-def _approach(arm: Arm, slot: int) -> Path:
+def _approach(arm: Arm, slot: int) -> SampledCurve:
     """Out from the exit line, round the turning loop, and back to the stop line."""
     offset, radius = arm.offset(slot), 9.0 + 4.8 * slot
     t = np.linspace(0.0, 1.0, 121)
@@ -324,10 +324,10 @@ def _approach(arm: Arm, slot: int) -> Path:
     out = straight(np.array([arm.stop, -offset]), spread[0])
     half = np.concatenate([out, spread])
     loop = arc(np.array([REACH + LOOP_SHIFT, 0.0]), radius, -np.pi / 2, np.pi)
-    return Path.through(arm.world(np.concatenate([half, loop, half[::-1] * [1.0, -1.0]])))
+    return SampledCurve.through(arm.world(np.concatenate([half, loop, half[::-1] * [1.0, -1.0]])))
 
 
-def _crossing(arm: Arm, a: int, first: int) -> list[Lane]:
+def _crossing(arm: Arm, a: int, first: int) -> list[JunctionLane]:
     """Two paths across the road, joined by a landing on each pavement.
 
     Pedestrians turn round on the landings.
@@ -342,8 +342,8 @@ def _crossing(arm: Arm, a: int, first: int) -> list[Lane]:
         paths += [(over - middle) * mirror + middle, (landing - middle) * mirror + middle]
     lanes = []
     for k, local in enumerate(paths):
-        path = Path.through(arm.world(local))
-        lanes.append(Lane(CROSSER, path, (first + (k + 1) % 4,), a, -1 if k % 2 else a, 0.0))
+        path = SampledCurve.through(arm.world(local))
+        lanes.append(JunctionLane(CROSSER, path, (first + (k + 1) % 4,), a, -1 if k % 2 else a, 0.0))
     return lanes
 
 

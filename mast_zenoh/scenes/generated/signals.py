@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.scenes.generated.junction import BIKE, CROSSER, ROAD, Lane, Path
+from mast_zenoh.scenes.generated.junction import BIKE, CROSSER, ROAD, JunctionLane, SampledCurve
 
 #: Length and width m of the largest mover of each kind: short road vehicles, long ones, bicycles, pedestrians.
 SHORT, LONG = 0, 1
@@ -32,7 +32,9 @@ _START_S = 4.0
 _TAIL = 15.0  # m, ends of adjacent lanes that a turning vehicle's sweep must not reach
 
 
-def _sweep(path: Path, footprint: tuple[float, float], begin: float = 0.0, end: float = np.inf) -> tuple[Floats, float]:
+def _sweep(
+    path: SampledCurve, footprint: tuple[float, float], begin: float = 0.0, end: float = np.inf
+) -> tuple[Floats, float]:
     """Discs that cover the area swept by a box along a path.
 
     Centres (k, 2) m and radius m; footprint: length and width of the box, m.
@@ -59,11 +61,11 @@ def _distances(a: Floats, b: Floats) -> Floats:
     return cdist(a, b)
 
 
-def _footprints(lane: Lane) -> list[int]:
+def _footprints(lane: JunctionLane) -> list[int]:
     return [SHORT, LONG] if lane.user == ROAD else [SHORT]
 
 
-def origins(lanes: Sequence[Lane]) -> Ints:
+def origins(lanes: Sequence[JunctionLane]) -> Ints:
     """(P,) the lane in which each connector begins; -1 for other lanes."""
     result = np.full(len(lanes), -1)
     for row, lane in enumerate(lanes):
@@ -74,7 +76,7 @@ def origins(lanes: Sequence[Lane]) -> Ints:
     return result
 
 
-def conflicts(lanes: Sequence[Lane]) -> Bools:
+def conflicts(lanes: Sequence[JunctionLane]) -> Bools:
     """Conflicts (2 P, 2 P) between connectors.
 
     Row 2 p + c is mover class c on path p.
@@ -95,7 +97,7 @@ def conflicts(lanes: Sequence[Lane]) -> Bools:
     return result
 
 
-def passable(lanes: Sequence[Lane]) -> Bools:
+def passable(lanes: Sequence[JunctionLane]) -> Bools:
     """Whether a mover class can use a path (P, 2).
 
     A mover must not reach into adjacent lanes or a dead end.
@@ -125,7 +127,7 @@ def passable(lanes: Sequence[Lane]) -> Bools:
     return result
 
 
-def shared(lanes: Sequence[Lane]) -> Floats:
+def shared(lanes: Sequence[JunctionLane]) -> Floats:
     """(P, P) m, the distance along path q up to which a mover there obstructs path p.
 
     Infinite for p = q; for two connectors out of the same lane, where they diverge; -inf for all others.
@@ -165,7 +167,7 @@ class Lights:
         return (self.green[phase], remaining) if remaining > 0 else (np.zeros_like(self.green[phase]), 0.0)
 
 
-def lights(lanes: Sequence[Lane], conflict: Bools, green_s: float, red_s: float) -> Lights:
+def lights(lanes: Sequence[JunctionLane], conflict: Bools, green_s: float, red_s: float) -> Lights:
     """Lights for a junction.
 
     Phases of `green_s` s or more, each followed by `red_s` s of red for all.

@@ -13,7 +13,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.scenes.generated.junction import BIKE, CROSSER, ROAD, WALKER, Lane, PathTable
+from mast_zenoh.scenes.generated.junction import BIKE, CROSSER, ROAD, WALKER, JunctionLane, PathTable
 from mast_zenoh.scenes.generated.signals import (
     LATE_S,
     LONG,
@@ -38,7 +38,7 @@ _KINDS = {
 }
 
 
-def road_users(network: Network, count: dict[str, int], random: np.random.Generator) -> tuple[Movers, list[str]]:
+def road_users(network: LaneNetwork, count: dict[str, int], random: np.random.Generator) -> tuple[Movers, list[str]]:
     """Road users spread over the lanes, and the class name of each.
 
     count: number of "vehicle", "bicycle" and "pedestrian". Raises ConfigurationError if there is not enough room.
@@ -89,7 +89,7 @@ def road_users(network: Network, count: dict[str, int], random: np.random.Genera
     return movers, [kind[1] for kind in kinds]
 
 
-def _places(network: Network, user: int, random: np.random.Generator) -> list[tuple[int, float]]:
+def _places(network: LaneNetwork, user: int, random: np.random.Generator) -> list[tuple[int, float]]:
     """Start positions (path, m along it) of a kind of movers, shuffled.
 
     They do not overlap.
@@ -149,10 +149,10 @@ class Movers:
 
 
 @dataclass(frozen=True, eq=False)
-class Network:
+class LaneNetwork:
     """A plan with the tables that the simulation needs."""
 
-    lanes: tuple[Lane, ...]
+    lanes: tuple[JunctionLane, ...]
     table: PathTable
     conflict: Bools
     passable: Bools
@@ -161,7 +161,7 @@ class Network:
     origin: Ints
 
     @classmethod
-    def of(cls, lanes: tuple[Lane, ...], green_s: float, red_s: float) -> Network:
+    def of(cls, lanes: tuple[JunctionLane, ...], green_s: float, red_s: float) -> LaneNetwork:
         """The network of a plan.
 
         green_s, red_s: s, green phases of the lights, and red between them
@@ -208,7 +208,7 @@ class Motion:
 class Traffic:
     """A running simulation; `step` advances it."""
 
-    def __init__(self, network: Network, movers: Movers, seed: int, name: str) -> None:
+    def __init__(self, network: LaneNetwork, movers: Movers, seed: int, name: str) -> None:
         """Place the movers at their starting points, at rest.
 
         Mover i chooses its turns with its own random stream, or one that equals that of its guide.

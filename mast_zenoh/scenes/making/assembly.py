@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import CLASSES, Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
-from mast_zenoh.scenes.making.sensor_types import Rig, Schedule, SensorsByAgent, equip
+from mast_zenoh.scenes.making.sensor_types import Rig, SensorsByAgent, SensorSchedule, equip
 from mast_zenoh.scenes.recording import Recording, SceneAgent, check_times, truth_states
 from mast_zenoh.sensing import Detector
 
@@ -253,7 +253,7 @@ def _rigs(times_ns: Ints, paths: Sequence[AgentPath], kept: int) -> tuple[Rig, .
         if of_frames is None:
             rigs += [Rig()] * len(path.agent.sensors)
             continue
-        schedule = Schedule.recorded(times_ns - start, of_frames, np.arange(len(times_ns)))
+        schedule = SensorSchedule.recorded(times_ns - start, of_frames, np.arange(len(times_ns)))
         rigs.append(Rig(schedule.before(kept)))
     return tuple(rigs)
 

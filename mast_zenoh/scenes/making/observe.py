@@ -88,12 +88,12 @@ class World:
             for sensor in range(len(described.sensors)):
                 yield agent, sensor, next(rigs, Rig())
 
-    def moment(self, agent: int, rig: Rig, frame: int) -> Moment | None:
+    def moment(self, agent: int, rig: Rig, frame: int) -> MeasuredWorld | None:
         """What the sensor of a rig measures that is new in a frame; None: nothing is."""
         schedule = rig.schedule
         if schedule is None:
             truth = self.truth.select(self.rows(frame))
-            return Moment(frame, 0, truth, self.agent_position[frame, agent], self.agent_rotation[frame, agent])
+            return MeasuredWorld(frame, 0, truth, self.agent_position[frame, agent], self.agent_rotation[frame, agent])
         source = int(schedule.source[frame])
         if source < 0:
             return None
@@ -102,7 +102,7 @@ class World:
         truth, other = self.truth.select(self.rows(source)), source + (1 if since_ns > 0 else -1)
         position, rotation = self.agent_position[source, agent], self.agent_rotation[source, agent]
         if since_ns == 0:
-            return Moment(source, age_ns, truth, position, rotation)
+            return MeasuredWorld(source, age_ns, truth, position, rotation)
         known = 0 <= other < len(self.times_ns)
         span_ns = int(self.times_ns[other] - self.times_ns[source]) if known else since_ns
         span_s, share = span_ns * 1e-9, since_ns / span_ns
@@ -113,11 +113,11 @@ class World:
             speeds = self.agent_velocity[source, agent], self.agent_velocity[other, agent]
             position = hermite(ends, speeds, span_s, share)
             rotation = rotation_between(rotation, self.agent_rotation[other, agent], share)
-        return Moment(source, age_ns, truth, position, rotation)
+        return MeasuredWorld(source, age_ns, truth, position, rotation)
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class MeasuredWorld:
     """The world when a sensor measured.
 
     source: frame that it was recorded with; age_ns: ns, before the time of the frame in which it is new
@@ -149,7 +149,7 @@ def lidar_visibility(
     return points
 
 
-def _returns(world: World, agent: int, lidar: LidarSensor, moment: Moment, walls: Walls) -> NDArray[np.int32]:
+def _returns(world: World, agent: int, lidar: LidarSensor, moment: MeasuredWorld, walls: Walls) -> NDArray[np.int32]:
     """(n,) lidar returns of the objects of a moment at a sensor of an agent."""
     truth = moment.truth
     own = np.flatnonzero((truth.id == world.agents[agent].object_id) & (truth.id >= 0))

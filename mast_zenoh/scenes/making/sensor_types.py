@@ -22,7 +22,7 @@ _LONGEST_FRAMES = 1e6
 
 
 @dataclass(frozen=True, eq=False)
-class Schedule:
+class SensorSchedule:
     """The measurements of one sensor that are new in each of F frames.
 
     A measurement at a time after the frame before and up to a frame's is new in that frame. Of several, the newest is.
@@ -35,7 +35,7 @@ class Schedule:
     time_ns: Ints
 
     @classmethod
-    def recorded(cls, times_ns: Ints, measured_ns: Ints, source: Ints | None = None) -> Schedule:
+    def recorded(cls, times_ns: Ints, measured_ns: Ints, source: Ints | None = None) -> SensorSchedule:
         """The schedule of measurements at `measured_ns` (K,) ns.
 
         times_ns: (F,) of the frames, ascending; source: (K,) frame of each; None: the frame in which it is new
@@ -51,15 +51,15 @@ class Schedule:
         return cls(new, time_ns)
 
     @classmethod
-    def regular(cls, times_ns: Ints, period_ns: int, phase_ns: int) -> Schedule:
+    def regular(cls, times_ns: Ints, period_ns: int, phase_ns: int) -> SensorSchedule:
         """Measurements `phase_ns` after the first frame, and every `period_ns` from then on."""
         first = int(times_ns[0]) + phase_ns
         return cls.recorded(times_ns, np.arange(first, int(times_ns[-1]) + 1, period_ns, dtype=np.int64))
 
-    def before(self, frames: int) -> Schedule:
+    def before(self, frames: int) -> SensorSchedule:
         """That of the first frames, without measurements that were recorded with a later one."""
         source = self.source[:frames]
-        return Schedule(np.where(source < frames, source, _NONE), self.time_ns[:frames])
+        return SensorSchedule(np.where(source < frames, source, _NONE), self.time_ns[:frames])
 
 
 def regular_times(place: str, frame_ns: int, rate_hz: float, phase_s: float) -> tuple[int, int]:
@@ -223,7 +223,7 @@ class Rig(NamedTuple):
     schedule: None: it measures in every frame, at its time; detector: None: that of the scene
     """
 
-    schedule: Schedule | None = None
+    schedule: SensorSchedule | None = None
     detector: Detector | None = None
 
 
@@ -257,7 +257,7 @@ def equip(
             if sensor.rate_hz is not None:
                 times = regular_times(f"{where}[{row}]", period_ns, sensor.rate_hz, sensor.phase_s)
                 if times != (period_ns, 0):
-                    schedule = Schedule.regular(times_ns, *times)
+                    schedule = SensorSchedule.regular(times_ns, *times)
             try:
                 fitted.append(sensor.fitted(agent.sensor))
             except ValueError as error:

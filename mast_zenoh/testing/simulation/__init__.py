@@ -8,14 +8,14 @@ promises    `check`: what must hold of every run;  `explore`: many seeds;  `simp
 """
 
 from mast_zenoh.testing.simulation.promises import check, explore, find, simplest, undisturbed
-from mast_zenoh.testing.simulation.simulation import Outcome, play
-from mast_zenoh.testing.simulation.world import Disturbance, Schedule, World, random_schedule
+from mast_zenoh.testing.simulation.simulation import SimulationOutcome, play
+from mast_zenoh.testing.simulation.world import Disturbance, Schedule, SimulatedWorld, random_schedule
 
 __all__ = [
     "Disturbance",
-    "Outcome",
     "Schedule",
-    "World",
+    "SimulatedWorld",
+    "SimulationOutcome",
     "check",
     "explore",
     "find",

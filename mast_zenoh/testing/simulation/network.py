@@ -86,7 +86,7 @@ class Connected(Protocol):
 P = TypeVar("P", bound=Connected)
 
 
-class Network(Generic[P]):
+class SimulatedNetwork(Generic[P]):
     """Delivers messages between the processes of a run.
 
     realtime: whether messages of wires may be lost, and a node whose link is cut loses its token

@@ -27,10 +27,10 @@ from mast_zenoh.runtime.protocol.actions import (
 )
 from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
 from mast_zenoh.runtime.protocol.node import CLOCK
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, Inbox, Item, ProcessContext
+from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, EventInbox, Item, ProcessContext
 from mast_zenoh.runtime.waiting import Limit, Room
-from mast_zenoh.testing.simulation.network import Network, VirtualTime
-from mast_zenoh.testing.simulation.world import Schedule, World
+from mast_zenoh.testing.simulation.network import SimulatedNetwork, VirtualTime
+from mast_zenoh.testing.simulation.world import Schedule, SimulatedWorld
 
 _FOREVER = 1 << 62
 CLOCK_ORIGIN_NS = 86_400 * 10**9  #: what a node's clock reads as a run begins: any number, so nothing may rely on it
@@ -116,7 +116,7 @@ class SimulatedProcess(Actions):
         self._timer = 0
         self.subscribed_ns = 0
         world, time = mesh.world, mesh.time
-        self.inbox = Inbox(self._put, nullcontext())
+        self.inbox = EventInbox(self._put, nullcontext())
         clocks = Clocks(lambda: CLOCK_ORIGIN_NS + time.now_ns, lambda: 0.0)
         context = ProcessContext(self, self.inbox, clocks, f"{name} {number}", Signatures(mesh.run))
         self.protocol = protocol_of(resolved, name, world.build(name, resolved.nodes[name]), context)
@@ -431,13 +431,13 @@ class SimulatedMesh:
 
     launcher: LauncherEnd
 
-    def __init__(self, world: World, schedule: Schedule) -> None:
+    def __init__(self, world: SimulatedWorld, schedule: Schedule) -> None:
         self.world = world
         self.run = "simulated"
         self.silent_log = logging.Logger("simulated", logging.CRITICAL + 1)
         self.lockstep = world.resolved.mode == "lockstep"
         self.time = VirtualTime(schedule)
-        self.network = Network[SimulatedProcess](self.time, schedule, realtime=not self.lockstep)
+        self.network = SimulatedNetwork[SimulatedProcess](self.time, schedule, realtime=not self.lockstep)
         self.violations: list[str] = []
         self.driver: SimulatedProcess | None = None
         self.frame = -1  # the newest

@@ -9,15 +9,15 @@ from typing import NamedTuple
 from mast_zenoh.control import failures
 from mast_zenoh.run_folder.recording.churn import LOST
 from mast_zenoh.testing.comparison import first_difference
-from mast_zenoh.testing.simulation.simulation import Outcome, play
-from mast_zenoh.testing.simulation.world import Schedule, World, random_schedule
+from mast_zenoh.testing.simulation.simulation import SimulationOutcome, play
+from mast_zenoh.testing.simulation.world import Schedule, SimulatedWorld, random_schedule
 from mast_zenoh.wiring.model import Wiring
 
 #: Errors with which a run may end; docs/endings.md and docs/exit_codes.md describe them.
 ENDINGS = frozenset({"StallError", "StartError", "NodeDied", "ImplausibleCounts", "Interrupted"})
 
 #: Returns how an outcome breaks a promise, in words; nothing if it keeps it.
-Promise = Callable[[Outcome], Iterable[str]]
+Promise = Callable[[SimulationOutcome], Iterable[str]]
 
 #: Reasons of a stall that need no liar and no slow process: a node that was to start, or all nodes, have been killed.
 _EXCUSES = ("not done before frame", "no other node is on the mesh")
@@ -37,12 +37,12 @@ class Counterexample(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def undisturbed(world: World) -> Outcome:
+def undisturbed(world: SimulatedWorld) -> SimulationOutcome:
     """The outcome of a world in which nothing happens but its scenario."""
     return play(world, Schedule(0, calm=True))
 
 
-def check(world: World, schedule: Schedule, promise: Promise = lambda outcome: ()) -> list[str]:
+def check(world: SimulatedWorld, schedule: Schedule, promise: Promise = lambda outcome: ()) -> list[str]:
     """Play a world with a schedule; returns the broken promises, in words.
 
     promise: one of your own: returns how an outcome breaks it
@@ -72,7 +72,9 @@ def check(world: World, schedule: Schedule, promise: Promise = lambda outcome: (
     return broken
 
 
-def _wrong_endings(world: World, schedule: Schedule, outcome: Outcome, reference: Outcome) -> Iterator[str]:
+def _wrong_endings(
+    world: SimulatedWorld, schedule: Schedule, outcome: SimulationOutcome, reference: SimulationOutcome
+) -> Iterator[str]:
     """How the end of a run, or the losses that it tells of, contradict what happened in it."""
     kind, _, text = outcome.error.partition(": ")
     dead = text.partition(" ")[0]
@@ -89,7 +91,7 @@ def _wrong_endings(world: World, schedule: Schedule, outcome: Outcome, reference
             yield f"{name} is told as lost, but no process of it has died"
 
 
-def _failures(outcome: Outcome, reference: Outcome) -> list[str]:
+def _failures(outcome: SimulationOutcome, reference: SimulationOutcome) -> list[str]:
     """The handlers that fail in this run alone."""
     known = {(name, entry["handler"]) for name, entries in reference.failures.items() for entry in entries}
     return failures.lines(
@@ -100,7 +102,7 @@ def _failures(outcome: Outcome, reference: Outcome) -> list[str]:
     )
 
 
-def _differences(outcome: Outcome, reference: Outcome, ignored: Container[str]) -> list[str]:
+def _differences(outcome: SimulationOutcome, reference: SimulationOutcome, ignored: Container[str]) -> list[str]:
     """How a run differs from the undisturbed one although its record does not say so; ignored: nodes."""
     if outcome.frames != reference.frames:
         return [f"it played {outcome.frames} frames, not {reference.frames}, and its record does not say so"]
@@ -116,7 +118,7 @@ def _differences(outcome: Outcome, reference: Outcome, ignored: Container[str]) 
     return lines
 
 
-def _broken_in_real_time(schedule: Schedule, outcome: Outcome, *, has_steps: bool) -> list[str]:
+def _broken_in_real_time(schedule: Schedule, outcome: SimulationOutcome, *, has_steps: bool) -> list[str]:
     """A run without any fault loses and doubles nothing, whatever is inserted into it and released.
 
     has_steps: whether the scenario ends nodes, which then miss messages
@@ -136,7 +138,7 @@ def _broken_in_real_time(schedule: Schedule, outcome: Outcome, *, has_steps: boo
     return []
 
 
-def _complaints(outcome: Outcome) -> str:
+def _complaints(outcome: SimulationOutcome) -> str:
     rejected = {name: counts for name, counts in outcome.rejected.items() if counts}
     parts = [
         outcome.error,
@@ -147,7 +149,7 @@ def _complaints(outcome: Outcome) -> str:
     return "; ".join(filter(None, parts)) or "no end"
 
 
-def find(world: World, seeds: Iterable[int], promise: Promise = lambda outcome: ()) -> Counterexample | None:
+def find(world: SimulatedWorld, seeds: Iterable[int], promise: Promise = lambda outcome: ()) -> Counterexample | None:
     """The first of these seeds' schedules with which promises of a world are broken; None for none.
 
     promise: see `check`
@@ -159,7 +161,7 @@ def find(world: World, seeds: Iterable[int], promise: Promise = lambda outcome: 
     return None
 
 
-def simplest(world: World, broken: Counterexample, promise: Promise = lambda outcome: ()) -> Counterexample:
+def simplest(world: SimulatedWorld, broken: Counterexample, promise: Promise = lambda outcome: ()) -> Counterexample:
     """A schedule without the disturbances that are not needed to break promises; promise: see `check`."""
     while True:
         for schedule in broken.schedule.simpler():
@@ -170,7 +172,7 @@ def simplest(world: World, broken: Counterexample, promise: Promise = lambda out
             return broken
 
 
-def explore(world: World, seeds: Iterable[int], promise: Promise = lambda outcome: ()) -> None:
+def explore(world: SimulatedWorld, seeds: Iterable[int], promise: Promise = lambda outcome: ()) -> None:
     """Raise AssertionError if the schedule of some seed breaks a promise, with the simplest one found.
 
     A world must keep its promises without any disturbance, too. promise: see `check`

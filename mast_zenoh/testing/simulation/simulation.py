@@ -11,13 +11,13 @@ from mast_zenoh.launch.launcher_protocol import churn_of
 from mast_zenoh.testing.simulation.launcher import SimulatedLauncher
 from mast_zenoh.testing.simulation.network import LEASE_NS, S
 from mast_zenoh.testing.simulation.processes import SimulatedMesh, SimulatedProcess
-from mast_zenoh.testing.simulation.world import Disturbance, Schedule, World
+from mast_zenoh.testing.simulation.world import Disturbance, Schedule, SimulatedWorld
 
 LONGEST_S = 400.0  #: virtual time by which every run has ended
 
 
 @dataclass
-class Outcome:
+class SimulationOutcome:
     """How a simulated run has ended.
 
     ended:   whether it has;  launcher_lost: whether the launcher was killed
@@ -55,7 +55,7 @@ class Outcome:
     missed: list[Disturbance]
     violations: list[str] = field(default_factory=list)
 
-    def claims_to_be_exact(self, undisturbed: Outcome | None = None) -> bool:
+    def claims_to_be_exact(self, undisturbed: SimulationOutcome | None = None) -> bool:
         """Whether nothing in its record says that it differs from the undisturbed run; None: which rejects nothing."""
         complete = self.ended and not self.launcher_lost and not self.error
         rejected = {name: counts for name, counts in self.rejected.items() if counts}
@@ -68,14 +68,14 @@ class Simulation(SimulatedMesh):
 
     launcher: SimulatedLauncher
 
-    def __init__(self, world: World, schedule: Schedule) -> None:
+    def __init__(self, world: SimulatedWorld, schedule: Schedule) -> None:
         super().__init__(world, schedule)
         self.launcher = SimulatedLauncher(self)
         self._pending: list[Disturbance | None] = list(schedule.disturbances)
         for number, disturbance in enumerate(schedule.disturbances):
             self.time.after(disturbance.at_s, self._disturb, number)
 
-    def play(self) -> Outcome:
+    def play(self) -> SimulationOutcome:
         """Play the run to its end."""
         self.launcher.begin()
         resolved = self.world.resolved
@@ -89,7 +89,7 @@ class Simulation(SimulatedMesh):
         driver = next((outcome for outcome in launcher.outcomes.values() if "sent_ns" in outcome), {})
         problem = launcher.state.stop.problem
         children = launcher.supervisor.children.values()
-        return Outcome(
+        return SimulationOutcome(
             ended=ended,
             launcher_lost=not launcher.alive,
             error=f"{type(problem).__name__}: {problem}" if problem else "",
@@ -163,7 +163,7 @@ class Simulation(SimulatedMesh):
             self.token(process, True)
 
 
-def play(world: World, schedule: Schedule) -> Outcome:
+def play(world: SimulatedWorld, schedule: Schedule) -> SimulationOutcome:
     """Play a world with a schedule; raises ConfigurationError for one with a node that the world does not have."""
     schedule.check(world)
     return Simulation(world, schedule).play()

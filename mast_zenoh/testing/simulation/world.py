@@ -17,7 +17,7 @@ from mast_zenoh.node import Node
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class SimulatedWorld:
     """A scenario to simulate.
 
     build:    builds a node from its name and its entry in the scenario; called again when a process starts again
@@ -31,7 +31,7 @@ class World:
     start_s: float = 0.01
 
     @classmethod
-    def of(cls, resolved: Resolved, requests: Iterable[Intercept | Mapping[str, Any]] = ()) -> World:
+    def of(cls, resolved: Resolved, requests: Iterable[Intercept | Mapping[str, Any]] = ()) -> SimulatedWorld:
         """The world of a resolved scenario, with its own nodes.
 
         requests: nodes that a schedule may insert; as dicts with the parameters of `mast intercept`: wire, file, name,
@@ -121,7 +121,7 @@ class Schedule:
         if not 0.0 <= self.loss <= 0.5:
             raise ConfigurationError(f"schedule: loss: found {self.loss}, expected 0 to 0.5")
 
-    def check(self, world: World) -> None:
+    def check(self, world: SimulatedWorld) -> None:
         """Raise ConfigurationError for a node that a world does not have; a release may name any: it is refused."""
         for number, (_, kind, node, _) in enumerate(self.disturbances):
             inserted = [request.name for request in world.requests]
@@ -159,7 +159,7 @@ class Schedule:
         return "\n".join([delays + lost, *map(str, self.disturbances)])
 
 
-def random_schedule(seed: int, world: World) -> Schedule:
+def random_schedule(seed: int, world: SimulatedWorld) -> Schedule:
     """A schedule for a world: none or some disturbances, most of them while frames are played."""
     random = Random(seed)
     names = list(world.resolved.nodes)

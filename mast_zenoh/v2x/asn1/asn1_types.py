@@ -1,7 +1,7 @@
 """Kinds of ASN.1 types (ITU-T X.680), as far as CAM and CPM need them.
 
 A type is written once, in a field table, and compiled by `layout`. Constraints that decide the bits of an encoding are
-the bounds of `Integer` and of sizes. `allowed`, `largest`, `Present` and `Absent` narrow the values further without
+the bounds of `Integer` and of sizes. `allowed`, `largest`, `Demanded` and `Absent` narrow the values further without
 changing a bit; the codec checks both. Constraints that relate several fields are not checked, for example that both
 vertical opening angles of a shape are present or none is.
 
@@ -112,7 +112,7 @@ class Optional:
     type: Type
 
 
-class Present(Optional):
+class Demanded(Optional):
     """Optional in the encoding, but a constraint demands it."""
 
 

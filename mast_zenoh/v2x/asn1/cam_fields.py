@@ -56,7 +56,7 @@ from mast_zenoh.v2x.asn1.cdd_awareness import (
     WiperStatus,
     YawRate,
 )
-from mast_zenoh.v2x.asn1.layout import Layout
+from mast_zenoh.v2x.asn1.layout import EncodingProgram
 
 BasicVehicleContainerHighFrequency = Sequence(
     {
@@ -220,4 +220,4 @@ CAM = Sequence(
 )
 
 #: The message as a program for the codec.
-LAYOUT = Layout("CAM", CAM)
+LAYOUT = EncodingProgram("CAM", CAM)

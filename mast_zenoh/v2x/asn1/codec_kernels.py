@@ -15,7 +15,7 @@ from mast_zenoh.kernels import kernel, missing
 Values = npt.NDArray[np.int64]
 
 
-class Fault(IntEnum):
+class CodecFault(IntEnum):
     """What is wrong with bytes or values; `kernels/uper.pxd` repeats them."""
 
     TRUNCATED = 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mast_zenoh.v2x.asn1.asn1_types import BOOLEAN, Absent, Integer, ListOf, Optional, Present, Sequence, Wrapped
+from mast_zenoh.v2x.asn1.asn1_types import BOOLEAN, Absent, Demanded, Integer, ListOf, Optional, Sequence, Wrapped
 from mast_zenoh.v2x.asn1.cdd import (
     CardinalNumber1B,
     CartesianAngle,
@@ -27,7 +27,7 @@ from mast_zenoh.v2x.asn1.cdd import (
     VehicleWidth,
     Wgs84Angle,
 )
-from mast_zenoh.v2x.asn1.layout import Layout
+from mast_zenoh.v2x.asn1.layout import EncodingProgram
 
 MessageRateRange = Sequence({"messageRateMin": MessageRateHz, "messageRateMax": MessageRateHz})
 ManagementContainer = Sequence(
@@ -82,7 +82,7 @@ PerceptionRegion = Sequence(
     additions={},
 )
 PerceptionRegionContainer = ListOf(PerceptionRegion, 1, 256, extensible=True)
-PerceivedObjects = ListOf(PerceivedObject.constrained(objectId=Present(Identifier2B)), 0, 255, extensible=True)
+PerceivedObjects = ListOf(PerceivedObject.constrained(objectId=Demanded(Identifier2B)), 0, 255, extensible=True)
 PerceivedObjectContainer = Sequence(
     {
         "numberOfPerceivedObjects": CardinalNumber1B,
@@ -119,4 +119,4 @@ CollectivePerceptionMessage = Sequence(
 )
 
 #: The message as a program for the codec.
-LAYOUT = Layout("CPM", CollectivePerceptionMessage)
+LAYOUT = EncodingProgram("CPM", CollectivePerceptionMessage)

@@ -34,12 +34,12 @@ from mast_zenoh.v2x.asn1.asn1_types import (
     Absent,
     Choice,
     Default,
+    Demanded,
     Enumerated,
     Field,
     Integer,
     ListOf,
     Optional,
-    Present,
     Sequence,
     Type,
     Wrapped,
@@ -67,11 +67,11 @@ class Kind(IntEnum):
     ABSENT = 4
 
 
-_KINDS = {Default: Kind.DEFAULT, Optional: Kind.OPTIONAL, Present: Kind.PRESENT, Absent: Kind.ABSENT}
+_KINDS = {Default: Kind.DEFAULT, Optional: Kind.OPTIONAL, Demanded: Kind.PRESENT, Absent: Kind.ABSENT}
 
 
 @dataclass(frozen=True)
-class Place:
+class SlotPlace:
     """Place of a sequence's field in the slots of the sequence.
 
     slot: of the value;  a slot for presence is before it if `kind` >= OPTIONAL
@@ -91,9 +91,9 @@ class Place:
 
 
 @cache
-def places(sequence: Sequence) -> tuple[Place, ...]:
+def places(sequence: Sequence) -> tuple[SlotPlace, ...]:
     """Places of all fields, those of additions at the end."""
-    result: list[Place] = []
+    result: list[SlotPlace] = []
     slot = 0
     fields: dict[str, Field] = {**sequence.fields, **(sequence.additions or {})}
     for name, field in fields.items():
@@ -102,7 +102,7 @@ def places(sequence: Sequence) -> tuple[Place, ...]:
         type = field.type if isinstance(field, Optional) else field
         kind = _KINDS.get(field.__class__, Kind.MANDATORY)
         slot += kind >= Kind.OPTIONAL
-        result.append(Place(name, type, kind, slot, field.value if isinstance(field, Default) else 0))
+        result.append(SlotPlace(name, type, kind, slot, field.value if isinstance(field, Default) else 0))
         slot += width(type)
     return tuple(result)
 
@@ -157,7 +157,7 @@ def least_bits(type: Type) -> int:
     return bits_of_range(type.id_type.low, type.id_type.high) + 16
 
 
-class Layout:
+class EncodingProgram:
     """A message's type as a program: nodes of int64, each with the addresses of those that it consists of.
 
     The program begins with the address of the message, the address of unknown octets, and the slots of a message.

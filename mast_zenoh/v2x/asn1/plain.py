@@ -31,11 +31,11 @@ from mast_zenoh.v2x.asn1.asn1_types import (
     Type,
 )
 from mast_zenoh.v2x.asn1.codec_kernels import Values
-from mast_zenoh.v2x.asn1.layout import Kind, Layout, extension_slot, places, width
+from mast_zenoh.v2x.asn1.layout import EncodingProgram, Kind, extension_slot, places, width
 from mast_zenoh.v2x.asn1.uper import unknown_name
 
 
-def to_plain(layout: Layout, values: Values) -> Any:
+def to_plain(layout: EncodingProgram, values: Values) -> Any:
     """A message's flat values as dicts and lists."""
     return _to_plain(layout.type, values.tolist(), 0)
 

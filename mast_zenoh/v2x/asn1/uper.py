@@ -14,11 +14,11 @@ import numpy as np
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x.asn1.asn1_types import LONGEST, Choice, Enumerated, Integer, ListOf, Sequence, Type, Wrapped
-from mast_zenoh.v2x.asn1.codec_kernels import Fault, Refusal, Values, decode_values, encode_values
-from mast_zenoh.v2x.asn1.layout import Kind, Layout, places
+from mast_zenoh.v2x.asn1.codec_kernels import CodecFault, Refusal, Values, decode_values, encode_values
+from mast_zenoh.v2x.asn1.layout import EncodingProgram, Kind, places
 
 
-def encode(layout: Layout, values: Values) -> bytes:
+def encode(layout: EncodingProgram, values: Values) -> bytes:
     """Bytes of a message; MessageError names the field that is outside its constraint."""
     data, refusal = encode_values(layout.program, np.ascontiguousarray(values, np.int64))
     if data is None:
@@ -27,7 +27,7 @@ def encode(layout: Layout, values: Values) -> bytes:
     return data
 
 
-def decode(layout: Layout, data: bytes) -> Values:
+def decode(layout: EncodingProgram, data: bytes) -> Values:
     """Flat values of a message; MessageError names the field where bytes are not a canonical encoding."""
     values, refusal = decode_values(layout.program, data)
     if values is None:
@@ -36,11 +36,11 @@ def decode(layout: Layout, data: bytes) -> Values:
     return values
 
 
-def _explanation(layout: Layout, refusal: Refusal) -> str:
+def _explanation(layout: EncodingProgram, refusal: Refusal) -> str:
     """Path of the offending field, what was found and what was expected."""
     fault, found, numbers = refusal
     path, type, kind = _location(layout.type, numbers)
-    return f"{path or 'message'}: {_TEXTS[Fault(fault)](found, type, kind)}"
+    return f"{path or 'message'}: {_TEXTS[CodecFault(fault)](found, type, kind)}"
 
 
 def _location(type: Type, numbers: tuple[int, ...]) -> tuple[str, Type | None, Kind | None]:
@@ -101,20 +101,26 @@ def _expected(type: Type | None) -> str:
 
 Text = Callable[[int, Type | None, Kind | None], str]
 
-_TEXTS: dict[Fault, Text] = {
-    Fault.TRUNCATED: lambda found, type, kind: f"the bytes end here, {found} bits are left and more are needed",
-    Fault.TRAILING: lambda found, type, kind: f"found {found} trailing bytes, expected none",
-    Fault.PADDING: lambda found, type, kind: f"found {found} padding bits that are not all 0",
-    Fault.RANGE: lambda found, type, kind: f"found {found}, expected {_expected(type)}",
-    Fault.COUNT: lambda found, type, kind: f"found {found} elements, expected {_expected(type)}",
-    Fault.PRESENCE: lambda found, type, kind: f"found presence {found}, expected {_presence(found, kind)}",
-    Fault.LONGER: lambda found, type, kind: f"{found} is encoded longer than needed, expected the shortest form",
-    Fault.FRAGMENTED: lambda found, type, kind: f"found a fragmented length, expected at most {LONGEST}",
-    Fault.OPEN_LENGTH: lambda found, type, kind: f"found a length of {found} octets, which differs from the contents",
-    Fault.NO_ADDITION: lambda found, type, kind: f"found a list of {found} extension additions that are all absent",
-    Fault.ADDITIONS: lambda found, type, kind: "found an extension addition after the 64th, which is not supported",
-    Fault.WIDE_INTEGER: lambda found, type, kind: f"found an integer of {found} octets, expected 1..8",
-    Fault.ROWS: lambda found, type, kind: f"found rows at slot {found}, which is outside the values",
+_TEXTS: dict[CodecFault, Text] = {
+    CodecFault.TRUNCATED: lambda found, type, kind: f"the bytes end here, {found} bits are left and more are needed",
+    CodecFault.TRAILING: lambda found, type, kind: f"found {found} trailing bytes, expected none",
+    CodecFault.PADDING: lambda found, type, kind: f"found {found} padding bits that are not all 0",
+    CodecFault.RANGE: lambda found, type, kind: f"found {found}, expected {_expected(type)}",
+    CodecFault.COUNT: lambda found, type, kind: f"found {found} elements, expected {_expected(type)}",
+    CodecFault.PRESENCE: lambda found, type, kind: f"found presence {found}, expected {_presence(found, kind)}",
+    CodecFault.LONGER: lambda found, type, kind: f"{found} is encoded longer than needed, expected the shortest form",
+    CodecFault.FRAGMENTED: lambda found, type, kind: f"found a fragmented length, expected at most {LONGEST}",
+    CodecFault.OPEN_LENGTH: lambda found, type, kind: (
+        f"found a length of {found} octets, which differs from the contents"
+    ),
+    CodecFault.NO_ADDITION: lambda found, type, kind: (
+        f"found a list of {found} extension additions that are all absent"
+    ),
+    CodecFault.ADDITIONS: lambda found, type, kind: (
+        "found an extension addition after the 64th, which is not supported"
+    ),
+    CodecFault.WIDE_INTEGER: lambda found, type, kind: f"found an integer of {found} octets, expected 1..8",
+    CodecFault.ROWS: lambda found, type, kind: f"found rows at slot {found}, which is outside the values",
 }
 
 

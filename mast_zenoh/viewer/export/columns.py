@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import CLASSES, Floats, ObjectStates
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.metrics.scores import OUTCOMES
-from mast_zenoh.runs.frame import Frame, Pose
+from mast_zenoh.runs.frame import AgentPose, Frame
 from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import Recording
@@ -86,7 +86,7 @@ def scene_frame(run: Run) -> str:
     return SCENE if run.origin.any() else WORLD
 
 
-def transforms_of(agent: str, pose: Pose, camera: Camera) -> Iterator[tuple[str, str, Floats, Floats]]:
+def transforms_of(agent: str, pose: AgentPose, camera: Camera) -> Iterator[tuple[str, str, Floats, Floats]]:
     """(parent, child, position (3,) m, quaternion (4,) x y z w) of an agent and of its camera's optical frame."""
     mount = camera.mount_position, camera.mount_rotation @ AXES.T
     for parent, child, place in ((WORLD, agent, pose), (agent, f"{agent}/camera", mount)):

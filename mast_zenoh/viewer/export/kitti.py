@@ -15,7 +15,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import box_corners, to_local, to_world, wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.metrics.record import Series
-from mast_zenoh.runs.frame import Frame, Pose
+from mast_zenoh.runs.frame import AgentPose, Frame
 from mast_zenoh.runs.recorded import frames_of
 from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.runs.run import Run
@@ -49,7 +49,7 @@ def write(run: Run, path: Path) -> None:
     main = run.agents[0]
     camera = cameras(run)[main]
     (path / "calib" / f"{SEQUENCE}.txt").write_text(_calibration(camera, _lidar(run)), encoding="ascii")
-    poses: dict[int, Pose] = {}
+    poses: dict[int, AgentPose] = {}
     without_pose = 0
     with ExitStack() as stack:
         opened = {series: stack.enter_context(file.open("w", encoding="ascii")) for series, file in files.items()}
@@ -86,7 +86,7 @@ def _calibration(camera: Camera, lidar: LidarSensor) -> str:
     return "".join(f"{name} {' '.join(f'{value:.12e}' for value in values)}\n" for name, values in rows.items())
 
 
-def _positions(poses: dict[int, Pose], origin: Floats) -> Iterator[str]:
+def _positions(poses: dict[int, AgentPose], origin: Floats) -> Iterator[str]:
     """A line for each frame up to the last: latitude, longitude, altitude, roll, pitch, yaw, and zeros.
 
     The origin (3,) m is at latitude and longitude 0, in the Mercator projection of KITTI's development kit, which
@@ -115,7 +115,7 @@ def _write_objects(file: TextIO, run: Run, frame: Frame, series: Series, states:
         file.write(" ".join(words[:-1] if series == TRUTH else words) + "\n")
 
 
-def _labels(frame: Frame, states: ObjectStates, pose: Pose, camera: Camera, occluded: Ints) -> Iterator[list[str]]:
+def _labels(frame: Frame, states: ObjectStates, pose: AgentPose, camera: Camera, occluded: Ints) -> Iterator[list[str]]:
     """The words of the line of each object in the image, the last one its score."""
     rectangles, inside, truncated = _rectangles(states, pose, camera)
     position, turn = _in_camera(states, pose, camera)
@@ -130,20 +130,20 @@ def _labels(frame: Frame, states: ObjectStates, pose: Pose, camera: Camera, occl
         yield [*words, *(f"{number:.6f}" for number in numbers)]
 
 
-def _in_camera(states: ObjectStates, pose: Pose, camera: Camera) -> tuple[Floats, Floats]:
+def _in_camera(states: ObjectStates, pose: AgentPose, camera: Camera) -> tuple[Floats, Floats]:
     """Centres (n, 3) m in the axes of the camera, and the turn (n,) rad about its downward axis, 0 to the right."""
     rotation = pose.rotation @ camera.mount_rotation
     ahead = np.stack([np.cos(states.yaw), np.sin(states.yaw), 0 * states.yaw], axis=1) @ rotation @ AXES.T
     return _in_camera_axes(states.position, pose, camera), -np.arctan2(ahead[:, 2], ahead[:, 0])
 
 
-def _in_camera_axes(points: Floats, pose: Pose, camera: Camera) -> Floats:
+def _in_camera_axes(points: Floats, pose: AgentPose, camera: Camera) -> Floats:
     """(n, 3) m, x right, y down, z ahead of the camera, of points (n, 3) m of the world."""
     mount = to_world(camera.mount_position[None], pose.position, pose.rotation)[0]
     return np.asarray(to_local(points, mount, pose.rotation @ camera.mount_rotation) @ AXES.T)
 
 
-def _rectangles(states: ObjectStates, pose: Pose, camera: Camera) -> tuple[Floats, Bools, Bools]:
+def _rectangles(states: ObjectStates, pose: AgentPose, camera: Camera) -> tuple[Floats, Bools, Bools]:
     """left, top, right, bottom (n, 4), px, of the part of each box in the image; and (n,) which have one, and are cut.
 
     Of a box that is partly behind the camera it is the part ahead. One around the camera, its own, is not seen.
@@ -165,7 +165,7 @@ def _rectangles(states: ObjectStates, pose: Pose, camera: Camera) -> tuple[Float
     return rectangles, inside, cut
 
 
-def _is_around(states: ObjectStates, pose: Pose, camera: Camera) -> Bools:
+def _is_around(states: ObjectStates, pose: AgentPose, camera: Camera) -> Bools:
     """Which boxes (n,) a camera is in, or above."""
     mount = to_world(camera.mount_position[None], pose.position, pose.rotation)[0]
     x, y = (mount - states.position)[:, :2].T

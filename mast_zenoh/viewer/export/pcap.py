@@ -26,7 +26,7 @@ from mast_zenoh.v2x import cam, cpm
 from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields, uper
 from mast_zenoh.v2x.asn1.plain import to_plain
 from mast_zenoh.v2x.reference_position import Position
-from mast_zenoh.wiring.model import Passage, Wiring
+from mast_zenoh.wiring.model import InterposedWire, Wiring
 
 #: When a scene begins, s since 1970: 2004-01-01 00:00 UTC, from which the reference times in CPMs count.
 EPOCH_S = 1_072_915_200
@@ -81,7 +81,7 @@ class _Legs(NamedTuple):
 
     wires: frozenset[str]
     publishers: frozenset[str]
-    attackers: Mapping[str, Passage]
+    attackers: Mapping[str, InterposedWire]
 
     @classmethod
     def of(cls, run: Run, wiring: Wiring) -> _Legs:
@@ -119,7 +119,7 @@ def write(run: Run, path: Path) -> None:
             of_one = [(message, _in_force(every, message.step)) for message in group]
             payloads = {message.key: message.payload for message, _ in of_one}
             lies = [(message, legs.attackers.get(message.key)) for message, legs in of_one]
-            original: list[tuple[Recorded, Passage | None]]
+            original: list[tuple[Recorded, InterposedWire | None]]
             original = [(message, None) for message, legs in of_one if message.key in legs.publishers]
             for message, attack in [*original, *((message, attack) for message, attack in lies if attack)]:
                 if attack and message.payload == payloads.get(attack.received):

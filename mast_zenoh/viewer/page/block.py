@@ -22,7 +22,7 @@ from mast_zenoh.launch.twin import NAME
 from mast_zenoh.metrics.estimates import ESTIMATES
 from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.runs.driven import braking_events, braking_of, cars_of, course_of, twin_course
-from mast_zenoh.runs.events import VERBS, Event, first_changes, happenings, lie_frames, node_absences, spans
+from mast_zenoh.runs.events import VERBS, Happening, first_changes, happenings, lie_frames, node_absences, spans
 from mast_zenoh.runs.files import ALL, Table, are_in, column, rows
 from mast_zenoh.runs.interposers import adversaries_by_agent, interposers
 from mast_zenoh.runs.run import Run
@@ -46,7 +46,7 @@ _COLUMNS = ("frame", "id", "match_id", *_GEOMETRY, "score", *_TEXT)
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings:
+class AgentPoses:
     """The agents in f frames. position: (f, a, 3) m;  rotation: (f, a, 3, 3) agent to world;  sweeps: of a Recording"""
 
     position: Floats
@@ -77,7 +77,7 @@ def run_block(run: Run, frame: int | None = None, label: str = "") -> bytes | No
     if scene is not None:
         shown = np.minimum(numbers, len(scene) - 1)  # a scene that is shorter keeps its last poses
         sweeps = tuple(sweep[shown] for sweep in scene.sweeps if every == 1)
-        surroundings = Surroundings(scene.agent_position[shown], scene.agent_rotation[shown], sweeps)
+        surroundings = AgentPoses(scene.agent_position[shown], scene.agent_rotation[shown], sweeps)
     packer = Packer()
     packer.add("time", times, scale=1e-3)
     try:
@@ -100,7 +100,7 @@ def run_block(run: Run, frame: int | None = None, label: str = "") -> bytes | No
 
 
 def pack_frames(
-    packer: Packer, run: Run, judged: Judgements, motion: Table, surroundings: Surroundings | None, frames: range
+    packer: Packer, run: Run, judged: Judgements, motion: Table, surroundings: AgentPoses | None, frames: range
 ) -> dict[str, Any]:
     """Add all columns of some frames but their times, and return the part of the header that describes them.
 
@@ -254,7 +254,7 @@ def _add_boxes(packer: Packer, run: Run, judged: Judgements, motion: Table, fram
     }
 
 
-def _add_surroundings(packer: Packer, run: Run, surroundings: Surroundings | None) -> dict[str, Any]:
+def _add_surroundings(packer: Packer, run: Run, surroundings: AgentPoses | None) -> dict[str, Any]:
     """Add the columns `agents.*` and `swept`, and return `buildings`, their `tops` and `agents` of the header."""
     scene = run.files.scene
     if scene is None or surroundings is None:
@@ -462,7 +462,7 @@ def _events(
     return entries
 
 
-def _first_successes(run: Run, judged: Judgements) -> list[Event]:
+def _first_successes(run: Run, judged: Judgements) -> list[Happening]:
     """The first error of each kind in the ego's copy of the picture that is due to each adversary."""
     result = []
     for estimate, words in (("picture", "the picture"), ("mission", f"{run.ego} with the picture")):
@@ -479,5 +479,5 @@ def _first_successes(run: Run, judged: Judgements) -> list[Event]:
             what = "shows a false object" if meaning.outcome == "false" else "misses an object"
             text = f"{words} {what} because of {meaning.by} ({meaning.cause})"
             x, y = (round(float(value), 2) for value in judged.boxes.position[first, :2])
-            result.append(Event(int(judged.boxes.group[first]), "effect", text, x, y))
+            result.append(Happening(int(judged.boxes.group[first]), "effect", text, x, y))
     return result

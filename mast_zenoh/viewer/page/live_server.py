@@ -42,7 +42,7 @@ def _is_ours(record: logging.LogRecord) -> bool:
 _LOGGER.addFilter(_is_ours)
 
 
-class Listener:
+class PageConnection:
     """What waits for one page: messages, of which frames (bytes) may be dropped."""
 
     def __init__(self) -> None:
@@ -105,7 +105,7 @@ class Feed:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._listeners: list[Listener] = []
+        self._listeners: list[PageConnection] = []
         self._lasting: dict[str, Any] = {}
         self._version = 0
         self._newest: bytes | None = None
@@ -118,9 +118,9 @@ class Feed:
         return any(listener.has_room for listener in tuple(self._listeners))
 
     @contextmanager
-    def listener(self) -> Iterator[Listener | None]:
+    def listener(self) -> Iterator[PageConnection | None]:
         """A listener for one page; None: there are too many already."""
-        listener = Listener()
+        listener = PageConnection()
         with self._lock:
             accepted = len(self._listeners) < MOST_PAGES
             if accepted:

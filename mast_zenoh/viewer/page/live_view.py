@@ -22,7 +22,7 @@ from mast_zenoh.runs.live.observer import POLL_S, Observer
 from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import truth_states
-from mast_zenoh.viewer.page.block import Surroundings, judgements_of, pack_frames
+from mast_zenoh.viewer.page.block import AgentPoses, judgements_of, pack_frames
 from mast_zenoh.viewer.page.columns import Packer
 from mast_zenoh.viewer.page.live_server import Feed, LiveServer
 from mast_zenoh.viewer.page.motion import motion_of
@@ -104,7 +104,7 @@ class LiveBlocks:
             ],
         }
 
-    def _surroundings(self, frame: Frame) -> Surroundings | None:
+    def _surroundings(self, frame: Frame) -> AgentPoses | None:
         """The agents as the messages have them."""
         scene = frame.run.files.scene
         if scene is None:
@@ -115,7 +115,7 @@ class LiveBlocks:
         roles = {spec.role for spec in self.observer.address.resolved.nodes.values()}
         stepped = "driver" in roles  # the prepared sweeps are of another drive
         sweeps = () if stepped else tuple(sweep[number : number + 1] for sweep in scene.sweeps)
-        return Surroundings(position, rotation, sweeps)
+        return AgentPoses(position, rotation, sweeps)
 
 
 def show(run: LiveAddress, session: zenoh.Session, server: LiveServer, stop: threading.Event) -> None:

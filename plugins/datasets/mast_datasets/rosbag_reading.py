@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from mast_ros2 import type_store
 from mast_ros2.object_ids import id_of_text, id_of_uuid
-from mast_ros2.received_objects import Received, received_detections, received_tracks
+from mast_ros2.received_objects import ReceivedObjects, received_detections, received_tracks
 from mast_ros2.received_poses import POSES, stamped_poses
 from numpy.typing import NDArray
 from rosbags.typesys.base import normalize_fieldname
@@ -467,7 +467,7 @@ class ObjectReader(TopicReader):
         return len(self._ids)
 
     def _read(self, message: Any, received_ns: int) -> None:
-        received: Received[ObjectStates] | Received[Detections]
+        received: ReceivedObjects[ObjectStates] | ReceivedObjects[Detections]
         if message.__msgtype__ == type_store.TRACKED_OBJECTS:
             tracks = received = received_tracks(message)
             ids = tracks.objects.id

@@ -24,7 +24,7 @@ from mast_zenoh.arrays.geometry import heading, to_world, wrap_angle
 from mast_zenoh.arrays.states import Bools, Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
-from mast_zenoh.scenes.making.sensor_types import Schedule
+from mast_zenoh.scenes.making.sensor_types import SensorSchedule
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Measurements, Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor, sensor_pose, to_sensor
 
@@ -248,7 +248,7 @@ class BagScene:
                 measured = self._measured[entry.source.place]
                 poses = self._poses(agent, measured.times_ns)
                 usable = np.flatnonzero(poses.known)
-                schedule = Schedule.recorded(self._times_ns - start, measured.times_ns[usable] - start, usable)
+                schedule = SensorSchedule.recorded(self._times_ns - start, measured.times_ns[usable] - start, usable)
                 self._note_measurements(name, measured, usable, schedule)
                 new = np.flatnonzero(schedule.source[:frames] >= 0)
                 source = schedule.source[new]
@@ -272,7 +272,7 @@ class BagScene:
         complete.validate()
         return complete
 
-    def _note_measurements(self, name: str, measured: Measured, usable: Ints, schedule: Schedule) -> None:
+    def _note_measurements(self, name: str, measured: Measured, usable: Ints, schedule: SensorSchedule) -> None:
         """Say how many measurements are new in no frame, of all frames of the scene."""
         times, frames = measured.times_ns[usable], self._times_ns
         within = int(np.count_nonzero((times >= frames[0]) & (times <= frames[-1])))

@@ -17,7 +17,7 @@ from mast_ros2.frame_exchange import About, AnswerTopic, FrameExchange, Timing
 from mast_ros2.frame_transforms import FrameTransforms, Placement
 from mast_ros2.names import ros2_name, topic_prefix
 from mast_ros2.object_messages import detection_array, states_of, tracked_objects
-from mast_ros2.received_objects import Received, received_tracks
+from mast_ros2.received_objects import ReceivedObjects, received_tracks
 from mast_ros2.type_store import RosMessage
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, ObjectStates
 from mast_zenoh.errors import MessageError
@@ -38,7 +38,7 @@ FRAME = "intercepted"
 
 
 @dataclass(frozen=True, slots=True)
-class _Sent:
+class _InTransit:
     """A message in transit.
 
     body: its columns;  expressed: its objects as they come back if nobody changes them, those that ROS can express
@@ -94,7 +94,7 @@ class AdversaryExchange(FrameExchange):
 
     def __init__(self, name: str, timing: Timing, wires: Collection[tuple[str, str]]) -> None:
         self._types = {wire: WIRE_TYPES[wire[0]] for wire in wires}
-        self._sent: dict[tuple[str, int], _Sent] = {}  # by topic of the answer, and frame
+        self._sent: dict[tuple[str, int], _InTransit] = {}  # by topic of the answer, and frame
         self._prefix = topic_prefix(name)
         answers = [
             AnswerTopic(self.topic(wire, "out"), kind, received_tracks, self._use(self.topic(wire, "out")))
@@ -128,15 +128,15 @@ class AdversaryExchange(FrameExchange):
         except (MessageError, ValueError) as error:
             self.refuse(MessageError(f"not sent: {error}"))
             return False
-        self._sent[topic, frame] = _Sent(wire[0], body, expressed)
+        self._sent[topic, frame] = _InTransit(wire[0], body, expressed)
         for old in [key for key in self._sent if key[1] not in self._times]:
             del self._sent[old]
         self.ask(outside, frame, [topic])
         outside.send(self.topic(wire, "in"), message)
         return True
 
-    def _use(self, topic: str) -> Callable[[Received[ObjectStates], About, Placement], Columns | None]:
-        def use(received: Received[ObjectStates], about: About, placement: Placement) -> Columns | None:
+    def _use(self, topic: str) -> Callable[[ReceivedObjects[ObjectStates], About, Placement], Columns | None]:
+        def use(received: ReceivedObjects[ObjectStates], about: About, placement: Placement) -> Columns | None:
             if about.late:
                 raise MessageError("late: the message has been forwarded as it was")
             return self._sent[topic, about.frame].forged(predicted(received.objects, -about.skew_ns * 1e-9))

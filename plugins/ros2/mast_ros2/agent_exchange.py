@@ -14,7 +14,7 @@ from mast_ros2.frame_transforms import FrameTransforms, Placement, composed
 from mast_ros2.names import ros2_name, topic_prefix
 from mast_ros2.object_messages import detection_array, states_of
 from mast_ros2.pose_messages import clock, odometry, transform_message
-from mast_ros2.received_objects import MOST_SPEED, TOO_FAST, Received, received_detections, received_tracks
+from mast_ros2.received_objects import MOST_SPEED, TOO_FAST, ReceivedObjects, received_detections, received_tracks
 from mast_ros2.received_poses import ReceivedPose, received_pose, stamped_poses
 from mast_ros2.spatial import Transform
 from mast_ros2.type_store import RosMessage
@@ -77,7 +77,7 @@ class AgentExchange(FrameExchange):
         self.objects_topic, self.pose_topic = f"{prefix}/received_{objects}", f"{prefix}/received_pose"
         self._velocities = Velocities()
         known = TRACK_TYPES if objects == "tracks" else DETECTION_TYPES
-        read: Callable[[Any], Received[Any]] = received_tracks if objects == "tracks" else received_detections
+        read: Callable[[Any], ReceivedObjects[Any]] = received_tracks if objects == "tracks" else received_detections
         use = self._use_tracks if objects == "tracks" else self._use_detections
         answers = [AnswerTopic(self.objects_topic, _of("message", object_type, known), read, use)]
         self.has_pose = bool(pose_type)
@@ -115,7 +115,7 @@ class AgentExchange(FrameExchange):
                 self.transforms.place_own(self.agent_frame, time_ns, Placement(placed.position, placed.rotation))
         outside.send(self.detections_topic, detection_array(states_of(detections), time_ns, self.world))
 
-    def _use_tracks(self, received: Received[ObjectStates], about: About, placement: Placement) -> ObjectStates:
+    def _use_tracks(self, received: ReceivedObjects[ObjectStates], about: About, placement: Placement) -> ObjectStates:
         tracks = _in_world(received.objects, placement)
         if self._topics[self.objects_topic].type_name == type_store.DETECTIONS:
             tracks = self._velocities.added(tracks, about.time_ns + about.skew_ns, self._period_ns() / 2e9)
@@ -125,7 +125,7 @@ class AgentExchange(FrameExchange):
         return predicted(tracks, -about.skew_ns * 1e-9)
 
     def _use_detections(
-        self, received: Received[Detections], about: About, placement: Placement
+        self, received: ReceivedObjects[Detections], about: About, placement: Placement
     ) -> tuple[int, Detections]:
         """The time of the measurement, ns, and what was detected, world frame."""
         if about.late:

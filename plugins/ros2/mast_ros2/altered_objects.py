@@ -11,7 +11,7 @@ import numpy as np
 from mast_ros2 import type_store
 from mast_ros2.object_ids import UUID_BYTES
 from mast_ros2.object_messages import detection_array, tracked_objects
-from mast_ros2.received_objects import Received
+from mast_ros2.received_objects import ReceivedObjects
 from mast_ros2.spatial import time_of
 from mast_ros2.type_store import RosMessage
 from mast_zenoh.arrays.states import ObjectStates
@@ -23,7 +23,7 @@ ALTERABLE = (type_store.TRACKED_OBJECTS, type_store.DETECTIONS)
 _UUID = type_store.TYPES["unique_identifier_msgs/msg/UUID"]
 
 
-def altered(message: RosMessage, received: Received[ObjectStates], wanted: ObjectStates) -> RosMessage:
+def altered(message: RosMessage, received: ReceivedObjects[ObjectStates], wanted: ObjectStates) -> RosMessage:
     """The message with the objects that are wanted instead of those that were received from it.
 
     received: by `received_tracks`;  wanted: in the same frame of reference, with the ids of those that stay

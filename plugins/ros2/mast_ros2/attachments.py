@@ -19,7 +19,7 @@ _FORM = struct.Struct(f"<qqB{GID_BYTES}s")
 _LABEL = b"\x0fsequence_number"
 
 
-class Attachment(NamedTuple):
+class MessageAttachment(NamedTuple):
     """Origin of a message.
 
     sequence: number of the message, from 1 for each publisher
@@ -41,7 +41,7 @@ class Attachment(NamedTuple):
             raise ValueError(f"found {self.sequence} and {self.stamp_ns}, expected numbers of 64 bits") from None
 
 
-def parse_attachment(data: bytes) -> Attachment:
+def parse_attachment(data: bytes) -> MessageAttachment:
     """The content of an attachment; raises MessageError for an older or an unknown form."""
     if data.startswith(_LABEL):
         raise MessageError(
@@ -53,7 +53,7 @@ def parse_attachment(data: bytes) -> Attachment:
     sequence, stamp_ns, length, gid = _FORM.unpack(data)
     if length != GID_BYTES:
         raise MessageError(f"attachment with an id of {length} bytes: expected {GID_BYTES}")
-    return Attachment(sequence, stamp_ns, gid)
+    return MessageAttachment(sequence, stamp_ns, gid)
 
 
 def gid_of(token: str) -> bytes:

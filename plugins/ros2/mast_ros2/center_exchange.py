@@ -12,7 +12,7 @@ from mast_ros2.frame_transforms import FrameTransforms, Placement
 from mast_ros2.names import ros2_name, topic_prefix
 from mast_ros2.object_messages import tracked_objects
 from mast_ros2.pose_messages import clock
-from mast_ros2.received_objects import Received, received_tracks
+from mast_ros2.received_objects import ReceivedObjects, received_tracks
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError
@@ -74,7 +74,7 @@ class CenterExchange(FrameExchange):
             self._agents[agent] = f"{self._prefix}/{ros2_name(agent)}/tracks"
             outside.announce(self._agents[agent], type_store.TRACKED_OBJECTS)
 
-    def _use(self, received: Received[ObjectStates], about: About, placement: Placement) -> ObjectStates:
+    def _use(self, received: ReceivedObjects[ObjectStates], about: About, placement: Placement) -> ObjectStates:
         states = states_to_world(received.objects, placement.position, placement.rotation)
         return predicted(states, -about.skew_ns * 1e-9)
 

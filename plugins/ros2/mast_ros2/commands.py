@@ -139,7 +139,7 @@ def _observe(
     """Publish a running run until its end, or until standard input ends."""
     from mast_ros2.bridge import Ros2Bridge, frames_to_the_end
     from mast_zenoh.runs.live import priority
-    from mast_zenoh.runs.live.every_frame import EveryFrame
+    from mast_zenoh.runs.live.every_frame import FrameReceiver
     from mast_zenoh.runs.live.observer import Observer
 
     with ExitStack() as stack:
@@ -148,7 +148,7 @@ def _observe(
         nodes = running.resolved.nodes
         partners = {name: spec.config for name, spec in nodes.items() if "ros2" in spec.config}
         if every_frame or running.resolved.mode == "realtime":
-            every = EveryFrame(running, session)
+            every = FrameReceiver(running, session)
             stack.callback(every.close)
             # In real time the run waits for nobody, and on a busy machine a process of low priority would lose frames.
             restore = priority.yield_to_nodes() if running.resolved.mode == "lockstep" else lambda: None

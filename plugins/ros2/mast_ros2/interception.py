@@ -20,11 +20,11 @@ import numpy as np
 
 from mast_ros2 import type_store
 from mast_ros2.altered_objects import ALTERABLE, altered
-from mast_ros2.attachments import Attachment
+from mast_ros2.attachments import MessageAttachment
 from mast_ros2.connection import Connection
 from mast_ros2.names import check_topic
 from mast_ros2.participant import Participant
-from mast_ros2.received_objects import Received, received_tracks
+from mast_ros2.received_objects import ReceivedObjects, received_tracks
 from mast_ros2.received_poses import ReceivedPose, received_pose
 from mast_ros2.type_store import RosMessage
 from mast_zenoh.arrays.states import ObjectStates
@@ -87,7 +87,7 @@ class ObjectsInterposer:
         self._host.start({})
         self.takes_poses = "pose" in self._host.subscriptions
         self._poses: deque[ReceivedPose] | None = None
-        self._kept: dict[int, tuple[str, bytes, Received[ObjectStates]]] = {}  # by frame: type and bytes
+        self._kept: dict[int, tuple[str, bytes, ReceivedObjects[ObjectStates]]] = {}  # by frame: type and bytes
         self._stamp_ns: int | None = None  # of the newest message
         self._time_ns = 0
         self.messages = self.changed = self.placed = self.jumps = 0
@@ -148,7 +148,7 @@ class ObjectsInterposer:
         else:
             self.jumps += 1
 
-    def _pose_for(self, received: Received[ObjectStates]) -> Body:
+    def _pose_for(self, received: ReceivedObjects[ObjectStates]) -> Body:
         """The agent's pose that is nearest in time to objects; raises MessageError if there is none that counts."""
         if self._poses is None or not self.takes_poses:
             return _STILL
@@ -177,7 +177,7 @@ class ObjectsInterposer:
         if out.key == _WIRE and isinstance(out.payload, Message):
             self._published.append(out.payload)
 
-    def _result(self, message: RosMessage, received: Received[ObjectStates], published: Message) -> RosMessage:
+    def _result(self, message: RosMessage, received: ReceivedObjects[ObjectStates], published: Message) -> RosMessage:
         """A message with what the node has made of its objects."""
         wanted = ObjectStates.from_columns(published.body)
         self.changed += not _equal(wanted, received.objects)
@@ -265,8 +265,8 @@ def intercept_topic(
     with Participant(connection, "mast_interposer") as participant:
         publisher = participant.publisher(topic, type_name)
 
-        def keep(kind: str) -> Callable[[bytes, Attachment], None]:
-            def put(payload: bytes, _: Attachment) -> None:
+        def keep(kind: str) -> Callable[[bytes, MessageAttachment], None]:
+            def put(payload: bytes, _: MessageAttachment) -> None:
                 try:
                     arrived.put_nowait((kind, payload))
                 except queue.Full:

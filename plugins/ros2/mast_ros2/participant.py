@@ -21,7 +21,7 @@ import zenoh
 import zenoh.ext
 
 from mast_ros2 import type_store
-from mast_ros2.attachments import Attachment, gid_of, parse_attachment
+from mast_ros2.attachments import MessageAttachment, gid_of, parse_attachment
 from mast_ros2.connection import Connection
 from mast_ros2.data_keys import DataKey
 from mast_ros2.liveliness_tokens import ALL_DOMAINS, EndpointToken, NodeToken, all_tokens, parse_token, tokens_of
@@ -35,8 +35,8 @@ from mast_zenoh.runtime.mesh.session import open_session
 log = logging.getLogger("mast.ros2")
 
 #: Called with each valid message, or with the bytes of each message, in a thread of Zenoh.
-Handler = Callable[[RosMessage, Attachment], None]
-BytesHandler = Callable[[bytes, Attachment], None]
+Handler = Callable[[RosMessage, MessageAttachment], None]
+BytesHandler = Callable[[bytes, MessageAttachment], None]
 
 #: Bytes of a message, if a subscriber says nothing else: a larger one is refused unread.
 MOST_BYTES = 1 << 24
@@ -107,7 +107,7 @@ class Publisher:
     def publish_bytes(self, payload: bytes) -> None:
         """Publish a message that is encoded already."""
         self._sequence += 1
-        attachment = Attachment(self._sequence, time.time_ns(), self.gid)
+        attachment = MessageAttachment(self._sequence, time.time_ns(), self.gid)
         self._publisher.put(payload, attachment=attachment.write())
 
 
@@ -177,7 +177,7 @@ class Participant:
         The handler must be quick: the messages of a session wait for each other.
         """
 
-        def decoded(payload: bytes, attachment: Attachment) -> None:
+        def decoded(payload: bytes, attachment: MessageAttachment) -> None:
             handler(type_store.decode(type_name, payload), attachment)
 
         self.subscribe_bytes(topic, type_name, decoded, qos, most_bytes=most_bytes)
@@ -221,7 +221,7 @@ class Participant:
     def receive(self, topic: OutsideTopic, keep: Callable[[RosMessage, bytes], None]) -> None:
         """Have a function called with each message of a topic, and the gid of its publisher, another node's."""
 
-        def foreign(message: RosMessage, attachment: Attachment) -> None:
+        def foreign(message: RosMessage, attachment: MessageAttachment) -> None:
             if all(attachment.gid != publisher.gid for publisher in self._announced.values()):  # as on /tf
                 keep(message, attachment.gid)
 

@@ -69,7 +69,7 @@ ASSUMED = Uncertainty()
 
 
 @dataclass(frozen=True, eq=False)
-class Received(Generic[Objects]):
+class ReceivedObjects(Generic[Objects]):
     """The objects of a message.
 
     frame_id: name of their frame of reference
@@ -88,7 +88,7 @@ class Received(Generic[Objects]):
     unclassified: int
 
 
-def received_detections(message: RosMessage) -> Received[Detections]:
+def received_detections(message: RosMessage) -> ReceivedObjects[Detections]:
     """The detections of a Detection3DArray or of DetectedObjects, in the frame of its header.
 
     Of several hypotheses, the one with the highest score counts; a detection without any is of the class unknown, with
@@ -110,7 +110,7 @@ def received_detections(message: RosMessage) -> Received[Detections]:
     return _received(message, objects, rows, keep)
 
 
-def received_tracks(message: RosMessage, assumed: Uncertainty = ASSUMED) -> Received[ObjectStates]:
+def received_tracks(message: RosMessage, assumed: Uncertainty = ASSUMED) -> ReceivedObjects[ObjectStates]:
     """The tracks of TrackedObjects or of a Detection3DArray with ids, in the frame of its header.
 
     assumed: where a covariance is 0, and for sizes, whose variances neither type has. The velocities of a
@@ -142,8 +142,8 @@ def received_tracks(message: RosMessage, assumed: Uncertainty = ASSUMED) -> Rece
     return _received(message, objects, rows, keep)
 
 
-def _received(message: RosMessage, objects: Objects, rows: _Rows, keep: Bools) -> Received[Objects]:
-    return Received(
+def _received(message: RosMessage, objects: Objects, rows: _UncheckedRows, keep: Bools) -> ReceivedObjects[Objects]:
+    return ReceivedObjects(
         frame_of(message.header.frame_id),
         time_of(message.header.stamp),
         objects,
@@ -153,7 +153,7 @@ def _received(message: RosMessage, objects: Objects, rows: _Rows, keep: Bools) -
     )
 
 
-class _Rows:
+class _UncheckedRows:
     """What all types have: n objects as they are in the message, unchecked.
 
     id: (n,); position: (n, 3) m; quaternion: (n, 4) w x y z; size: (n, 3) m; score: (n,); class_id: (n,) uint8
@@ -236,9 +236,9 @@ class _Rows:
         yield "id: none", self.named
 
 
-def _vision_rows(message: RosMessage) -> _Rows:
+def _vision_rows(message: RosMessage) -> _UncheckedRows:
     detections = message.detections
-    rows = _Rows(message, len(detections))
+    rows = _UncheckedRows(message, len(detections))
     best = [max(each.results, key=lambda result: result.hypothesis.score, default=None) for each in detections]
     rows.place([each.bbox.center for each in detections])
     rows.size = vector_rows([each.bbox.size for each in detections])
@@ -255,17 +255,17 @@ def _vision_rows(message: RosMessage) -> _Rows:
     return rows
 
 
-def _vision_tracks(message: RosMessage) -> _Rows:
+def _vision_tracks(message: RosMessage) -> _UncheckedRows:
     rows = _vision_rows(message)
     rows.id = np.array([id_of_text(each.id) for each in message.detections], np.int64)
     rows.named = np.array([each.id != "" for each in message.detections], bool)
     return rows
 
 
-def _autoware_rows(message: RosMessage) -> _Rows:
+def _autoware_rows(message: RosMessage) -> _UncheckedRows:
     """What detected and tracked objects have in common."""
     objects = message.objects
-    rows = _Rows(message, len(objects))
+    rows = _UncheckedRows(message, len(objects))
     rows.place([each.kinematics.pose_with_covariance.pose for each in objects])
     rows.score = np.array([each.existence_probability for each in objects], np.float64)
     rows.size = vector_rows([each.shape.dimensions for each in objects])
@@ -282,14 +282,14 @@ def _autoware_rows(message: RosMessage) -> _Rows:
     return rows
 
 
-def _detected_rows(message: RosMessage) -> _Rows:
+def _detected_rows(message: RosMessage) -> _UncheckedRows:
     rows = _autoware_rows(message)
     has_covariance = [each.kinematics.has_position_covariance for each in message.objects]
     rows.position_covariance[~np.array(has_covariance, bool)] = 0.0
     return rows
 
 
-def _tracked_rows(message: RosMessage) -> _Rows:
+def _tracked_rows(message: RosMessage) -> _UncheckedRows:
     rows, objects = _autoware_rows(message), message.objects
     rows.id = np.array([id_of_uuid(each.object_id.uuid.tobytes()) for each in objects], np.int64)
     twists = [each.kinematics.twist_with_covariance for each in objects]
@@ -298,7 +298,7 @@ def _tracked_rows(message: RosMessage) -> _Rows:
     return rows
 
 
-def _enclose(rows: _Rows, row: int, points: Sequence[RosMessage]) -> None:
+def _enclose(rows: _UncheckedRows, row: int, points: Sequence[RosMessage]) -> None:
     """Put the box of an object around its footprint, which is in the object's axes; without points it has no size."""
     corners = np.array([(point.x, point.y) for point in points], np.float64).reshape(-1, 2)
     low, high = (corners.min(axis=0), corners.max(axis=0)) if len(corners) else np.zeros((2, 2))

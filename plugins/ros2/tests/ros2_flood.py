@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from mast_ros2 import type_store
-from mast_ros2.attachments import Attachment
+from mast_ros2.attachments import MessageAttachment
 from mast_ros2.data_keys import DataKey
 from mast_ros2.liveliness_tokens import EndpointToken, NodeToken
 from mast_ros2.object_messages import detection_array, tracked_objects
@@ -95,7 +95,7 @@ def attachment_of(random: np.random.Generator) -> bytes | None:
         return b"\x0fsequence_number" + random.bytes(40)
     if kind == 2:
         return random.bytes(int(random.integers(60)))
-    return Attachment(int(random.integers(5)), int(random.integers(2**62)), random.bytes(16)).write()
+    return MessageAttachment(int(random.integers(5)), int(random.integers(2**62)), random.bytes(16)).write()
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ from mast_ros2.frame_exchange import TF, TF_STATIC, About, AnswerTopic, FrameExc
 from mast_ros2.frame_transforms import FrameTransforms, Placement
 from mast_ros2.object_messages import tracked_objects
 from mast_ros2.pose_messages import transform_message
-from mast_ros2.received_objects import Received, received_tracks
+from mast_ros2.received_objects import ReceivedObjects, received_tracks
 from mast_ros2.spatial import Transform
 from mast_ros2.type_store import TF_MESSAGE, TRACKED_OBJECTS, decode, encode
 from ros2_messages import RosLink, random_states
@@ -28,7 +28,7 @@ TOPIC = "/answers"
 STATES = random_states(np.random.default_rng(0), 3)
 
 
-def use(received: Received[ObjectStates], about: About, placement: Placement) -> tuple[Any, ...]:
+def use(received: ReceivedObjects[ObjectStates], about: About, placement: Placement) -> tuple[Any, ...]:
     return len(received.objects), about.skew_ns, placement.position.tolist()
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mast_ros2 import type_store
-from mast_ros2.attachments import GID_BYTES, Attachment, gid_of, parse_attachment
+from mast_ros2.attachments import GID_BYTES, MessageAttachment, gid_of, parse_attachment
 from mast_ros2.data_keys import DataKey
 from mast_ros2.liveliness_tokens import ENDPOINTS, EndpointToken, NodeToken, all_tokens, parse_token
 from mast_ros2.names import NO_HASH, check_topic, dds_type, demangle, mangle
@@ -229,14 +229,17 @@ def test_quality_of_service_survives_a_round_trip(qos: Qos) -> None:
 @few
 @given(st.integers(-(2**63), 2**63 - 1), st.integers(-(2**63), 2**63 - 1), st.binary(min_size=16, max_size=16))
 def test_an_attachment_survives_a_round_trip(sequence: int, stamp_ns: int, gid: bytes) -> None:
-    attachment = Attachment(sequence, stamp_ns, gid)
+    attachment = MessageAttachment(sequence, stamp_ns, gid)
     assert parse_attachment(attachment.write()) == attachment
 
 
 @few
 @given(st.integers(0, 2**63 - 1), st.integers(0, 2**63 - 1), st.binary(min_size=16, max_size=16))
 def test_an_attachment_has_the_bytes_of_the_sdk(sdk: Any, sequence: int, stamp_ns: int, gid: bytes) -> None:
-    assert sdk.attachment.Attachment(sequence, stamp_ns, gid).to_bytes() == Attachment(sequence, stamp_ns, gid).write()
+    assert (
+        sdk.attachment.Attachment(sequence, stamp_ns, gid).to_bytes()
+        == MessageAttachment(sequence, stamp_ns, gid).write()
+    )
 
 
 def test_an_attachment_with_labels_is_refused_with_the_versions_to_update() -> None:
@@ -261,9 +264,9 @@ def test_an_attachment_of_another_form_is_refused(data: bytes, reason: str) -> N
 
 def test_an_attachment_that_its_bytes_cannot_hold_is_refused() -> None:
     with pytest.raises(ValueError, match="64 bits"):
-        Attachment(2**63, 0, bytes(16)).write()
+        MessageAttachment(2**63, 0, bytes(16)).write()
     with pytest.raises(ValueError, match="found 3 bytes, expected 16"):
-        Attachment(1, 0, bytes(3)).write()
+        MessageAttachment(1, 0, bytes(3)).write()
 
 
 def test_publishers_have_different_ids() -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import zenoh
 from launched import eventually
-from mast_ros2.attachments import GID_BYTES, Attachment, gid_of, parse_attachment
+from mast_ros2.attachments import GID_BYTES, MessageAttachment, gid_of, parse_attachment
 from mast_ros2.bridge import NODE, Ros2Bridge
 from mast_ros2.connection import Connection
 from mast_ros2.liveliness_tokens import EndpointToken, parse_token
@@ -65,7 +65,7 @@ def recorded_session(folder: Path) -> dict[str, Any]:
         messages.append(
             {
                 "key": str(sample.key_expr),
-                "attachment": Attachment(attachment.sequence, 0, bytes(GID_BYTES)).write().hex(),
+                "attachment": MessageAttachment(attachment.sequence, 0, bytes(GID_BYTES)).write().hex(),
                 "payload": base64.b64encode(zlib.compress(sample.payload.to_bytes(), 9)).decode(),
             }
         )

@@ -21,7 +21,7 @@ from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.messages.schemas import Message
-from mast_zenoh.testing.simulation.world import World
+from mast_zenoh.testing.simulation.world import SimulatedWorld
 
 AGENT, CENTER, ADVERSARY = "ros2_agent.py", "ros2_command_center.py", "ros2_adversary.py"
 SENT, BACK = "/mast/ego/detections", "/mast/ego/received_tracks"
@@ -486,4 +486,4 @@ def test_a_wrong_parameter_is_refused_before_the_run(options: dict[str, Any], pr
 
 def test_a_simulated_mesh_refuses_nodes_with_topics_outside(resolved: Resolved) -> None:
     with pytest.raises(ConfigurationError, match="ego: Ros2Agent exchanges messages with programs outside the run"):
-        World.of(replace(resolved, modules=()))
+        SimulatedWorld.of(replace(resolved, modules=()))

@@ -12,7 +12,7 @@ import pytest
 import zenoh
 from mast_ros2 import participant as ros2_participant
 from mast_ros2 import type_store
-from mast_ros2.attachments import Attachment
+from mast_ros2.attachments import MessageAttachment
 from mast_ros2.connection import Connection
 from mast_ros2.data_keys import DataKey
 from mast_ros2.liveliness_tokens import EndpointToken, NodeToken
@@ -43,9 +43,11 @@ def peer(router: str) -> Iterator[zenoh.Session]:
     session.close()
 
 
-def received(participant: Participant, topic: str, qos: Qos | None = None) -> queue.SimpleQueue[tuple[Any, Attachment]]:
+def received(
+    participant: Participant, topic: str, qos: Qos | None = None
+) -> queue.SimpleQueue[tuple[Any, MessageAttachment]]:
     """What a participant receives on a topic with clocks, as it comes."""
-    arrived: queue.SimpleQueue[tuple[Any, Attachment]] = queue.SimpleQueue()
+    arrived: queue.SimpleQueue[tuple[Any, MessageAttachment]] = queue.SimpleQueue()
     participant.subscribe(topic, type_store.CLOCK, lambda *message: arrived.put(message), qos)
     return arrived
 
@@ -118,7 +120,7 @@ def test_a_peer_with_another_definition_or_type_is_told_of(router: str, peer: ze
 
 
 CLOCK_KEY = DataKey.of(0, "/clock", type_store.CLOCK).write()
-SOUND = Attachment(1, 0, bytes(16)).write()
+SOUND = MessageAttachment(1, 0, bytes(16)).write()
 
 
 @pytest.mark.parametrize(

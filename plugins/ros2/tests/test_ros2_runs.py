@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import zenoh
 from mast_ros2 import participant as ros2_participant
-from mast_ros2.attachments import Attachment
+from mast_ros2.attachments import MessageAttachment
 from mast_ros2.connection import Connection
 from mast_ros2.data_keys import DataKey
 from mast_ros2.participant import Participant, joined
@@ -134,7 +134,7 @@ def ticker(router: str) -> Iterator[zenoh.Publisher]:
 
 
 def tick(ticker: zenoh.Publisher, second: int, gid: bytes = bytes(16)) -> None:
-    ticker.put(encode(clock(second * 10**9)), attachment=Attachment(1, 0, gid).write())
+    ticker.put(encode(clock(second * 10**9)), attachment=MessageAttachment(1, 0, gid).write())
 
 
 def in_thread(call: Any) -> queue.SimpleQueue[Any]:
@@ -192,7 +192,7 @@ def test_the_newest_messages_of_a_flood_are_kept_and_the_others_counted(router: 
         tick(ticker, second)
     eventually(lambda: link.refused.get("overtaken") == 92, "the end of the flood", DEADLINE_S)
     assert [arrival.message.clock.sec for arrival in link.take()] == list(range(92, 100))
-    ticker.put(bytes(2000), attachment=Attachment(1, 0, bytes(16)).write())
+    ticker.put(bytes(2000), attachment=MessageAttachment(1, 0, bytes(16)).write())
     eventually(lambda: link.refused.get("size") == 1, "a refusal", DEADLINE_S)
     link.close()
 

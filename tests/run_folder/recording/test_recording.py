@@ -24,7 +24,7 @@ from recordings import HEARS, PERIOD_NS, TAP, add, begun, payload, small_run, wr
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messages import codec
 from mast_zenoh.run_folder.recording import writer
-from mast_zenoh.run_folder.recording.format import JOINED, LEFT, REWIRED, Event
+from mast_zenoh.run_folder.recording.format import JOINED, LEFT, REWIRED, RecordedEvent
 from mast_zenoh.run_folder.recording.reader import events, first_missing_frame, read
 from mast_zenoh.run_folder.recording.writer import MessageLog
 
@@ -96,9 +96,9 @@ def test_the_step_in_which_a_message_was_sent_is_kept(tmp_path: Path, monkeypatc
 
 nodes = st.text(max_size=20)
 happened = st.one_of(
-    st.builds(Event, st.sampled_from([JOINED, LEFT]), st.integers(-1, 10**9), nodes, nodes),
+    st.builds(RecordedEvent, st.sampled_from([JOINED, LEFT]), st.integers(-1, 10**9), nodes, nodes),
     st.builds(
-        Event,
+        RecordedEvent,
         st.just(REWIRED),
         st.integers(-1, 10**9),
         wiring=st.dictionaries(st.text(max_size=9), st.lists(st.integers(-9, 9) | st.text(max_size=9), max_size=3)),
@@ -108,7 +108,7 @@ happened = st.one_of(
 
 @settings(deadline=None, max_examples=40)
 @given(events_sent=st.lists(happened, max_size=5))
-def test_events_are_kept_in_order(tmp_path_factory: pytest.TempPathFactory, events_sent: list[Event]) -> None:
+def test_events_are_kept_in_order(tmp_path_factory: pytest.TempPathFactory, events_sent: list[RecordedEvent]) -> None:
     path = tmp_path_factory.mktemp("events") / "run.mcap"
     log = begun(path)
     sent = small_run(3)

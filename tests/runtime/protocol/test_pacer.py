@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from mast_zenoh.runtime.protocol.pacer import MAX_LOSSES, Membership, Pacer, Presence
+from mast_zenoh.runtime.protocol.pacer import MAX_LOSSES, Membership, Pacer, TokenPresence
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 
@@ -174,7 +174,7 @@ def test_missing_reports_of_a_correct_mesh_accuse_no_node() -> None:
 
 
 NODES = {"driver": "simulator", "a": "agent"}
-GONE, THERE, REPLACED = Presence(True, False), Presence(False, True), Presence(True, True)
+GONE, THERE, REPLACED = TokenPresence(True, False), TokenPresence(False, True), TokenPresence(True, True)
 
 
 @pytest.fixture
@@ -184,7 +184,7 @@ def membership() -> Membership:
     return membership
 
 
-def note(membership: Membership, *changes: Presence) -> str:
+def note(membership: Membership, *changes: TokenPresence) -> str:
     return [membership.note("a", change, 3, NODES) for change in changes][-1]
 
 
@@ -203,7 +203,7 @@ def test_changes_that_nobody_has_taken_combine_to_whether_it_went_and_whether_it
     ],
 )
 def test_losses_and_returns_are_noted_in_pairs(
-    membership: Membership, changes: tuple[Presence, ...], leaving: set[str], events: list[str]
+    membership: Membership, changes: tuple[TokenPresence, ...], leaving: set[str], events: list[str]
 ) -> None:
     membership.leaving |= leaving
     assert note(membership, *changes) == ""
