@@ -23,6 +23,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from mast_zenoh.errors import nearest
 from mast_zenoh.messages.limits import RowChoice
 from mast_zenoh.messages.schemas import BUILT_IN, Body, Schema
 from mast_zenoh.outside import Outside, OutsideTopics
@@ -157,7 +158,8 @@ class Context(Protocol):
 class Node:
     """Base of all nodes.
 
-    A subclass names its role and ports, and has a handler `on_<port>` for each input.
+    A subclass names its role and ports, and has a handler `on_<port>` for each input; for messages on further ports,
+    `on_<type>` or `on_message`.
 
     Parameters of `__init__` come from the scenario, converted by their annotations (`mast_zenoh.config.registry`).
     """
@@ -168,11 +170,14 @@ class Node:
     inputs: ClassVar[Mapping[str, Any]] = {}
     outputs: ClassVar[Mapping[str, Any]] = {}
     #: types of messages that it takes on any other input port that a key-expression map names, as `inputs` has none for
-    #: them: `on_<type>` handles them, or `on_message`; ANY: of all types. `Received.port` tells them apart. A node that
-    #: a map inserts into a wire on such a port sends on by an output port of its own choice, whose type is the wire's.
+    #: them: `on_<type>` handles them, or `on_message`, which handles those of types that are also names of `inputs`;
+    #: ANY: of all types. `Received.port` tells them apart.
     takes: ClassVar[Collection[str]] = ()
+    #: types of messages for which a map may insert it into a wire on a further port `x`: it sends them on by `x_out`
+    forwards: ClassVar[Collection[str]] = ()
     #: what messages can affect: by input port, the output ports, each with the number of frames after which; "": for
-    #: further ports. An absent port affects all outputs in the same frame. See `wiring.influence`.
+    #: further ports. An absent port affects all outputs in the same frame. What a subclass adds may affect all, and
+    #: depend on all. See `wiring.influence`.
     affects: ClassVar[Mapping[str, Mapping[str, int]]] = {}
     #: output ports of messages that combine what several agents say
     fuses: ClassVar[Collection[str]] = ()
@@ -199,6 +204,12 @@ class Node:
                     ports[port] = message.name
             setattr(cls, side, ports)
         cls.message_types = types
+        if "affects" not in vars(cls) and cls.affects:
+            bases = [base for base in cls.__mro__[1:] if issubclass(base, Node)]
+            added = dict.fromkeys(cls.outputs.keys() - {port for base in bases for port in base.outputs}, 0)
+            own = cls.inputs.keys() - {port for base in bases for port in base.inputs}
+            cls.affects = {port: {**known, **added} for port, known in cls.affects.items()}
+            cls.affects |= dict.fromkeys(own, dict.fromkeys(cls.outputs, 0))
 
     def restamps_s(self, duration_s: float) -> float:
         """Largest error, s, that the node may add to header times in a run of that length.
@@ -274,7 +285,12 @@ def _declare(types: dict[str, Schema], schema: Schema, place: str) -> None:
 
 def handler_of(node: type[Node], port: str, message: str) -> str:
     """Name of the handler of an input port, for messages of a type; raises TypeError if there is none."""
-    names = (f"on_{port}",) if port in node.inputs else (f"on_{message}", "on_message")
+    if port in node.inputs:
+        names: tuple[str, ...] = (f"on_{port}",)
+    elif message in node.inputs:  # `on_<type>` is for its own port of that name
+        names = ("on_message",)
+    else:
+        names = (f"on_{message}", "on_message")
     for name in names:
         if callable(getattr(node, name, None)):
             return name
@@ -282,9 +298,23 @@ def handler_of(node: type[Node], port: str, message: str) -> str:
 
 
 def check_handlers(node: type[Node]) -> None:
-    """Raise TypeError if an input port, or a type that the node takes, has no handler."""
+    """Raise TypeError if an input port, or a type that the node takes or forwards, has no handler.
+
+    And for a port in `affects` or `fuses` that it does not have.
+    """
     missing = [f"on_{port}" for port in node.inputs if not callable(getattr(node, f"on_{port}", None))]
     if missing:
         raise TypeError(f"{node.__name__} has no {', '.join(missing)} for its input ports")
-    for message in node.takes:
+    for message in (*node.takes, *node.forwards):
         handler_of(node, "", "message" if message == ANY else message)
+    for port, reached in node.affects.items():
+        if port not in ("", *node.inputs):
+            raise TypeError(f"{node.__name__}.affects: no input port {port!r}{nearest(port, node.inputs)}")
+        for output, frames in reached.items():
+            if output not in node.outputs:
+                raise TypeError(f"{node.__name__}.affects: no output port {output!r}{nearest(output, node.outputs)}")
+            if frames < 0:
+                raise TypeError(f"{node.__name__}.affects[{port!r}]: found {frames} frames, expected 0 or more")
+    for output in node.fuses:
+        if output not in node.outputs:
+            raise TypeError(f"{node.__name__}.fuses: no output port {output!r}{nearest(output, node.outputs)}")

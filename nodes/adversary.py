@@ -61,7 +61,7 @@ class Adversary(Node):
     }
     listening = ("overheard_picture", "trust")
     outputs = {"pose_out": "pose", "observation": "observation", "report": "attack_report"}
-    takes = (ANY,)  # to be forwarded, from `x` to `x_out`
+    forwards = (ANY,)  # to be forwarded, from `x` to `x_out`
 
     def __init__(
         self, attack: Attack, agent: str | tuple[str, ...], surroundings: Surroundings = UNKNOWN, peer: str = ""
@@ -77,7 +77,7 @@ class Adversary(Node):
         self.directives: LatestBefore[Targets] = LatestBefore()
         self.pictures: LatestBefore[Received] = LatestBefore()
         self.trusts: LatestBefore[Received] = LatestBefore()
-        self.last_wire = ""  # the wire whose messages decide which lies a view has to agree with
+        self.lie_type = ""  # type of the messages whose lies a view has to agree with
 
     def start(self, context: Context) -> None:
         """Initialise the random streams."""
@@ -87,7 +87,7 @@ class Adversary(Node):
             sources.setdefault(wire.message, set()).add(wire.source)
         if "view" in sources and sources["view"].isdisjoint(sources.get("tracks", ())):
             sources.pop("tracks", None)  # a peer sends no tracks before it has its agent's view
-        self.last_wire = next((kind for kind in ("tracks", "detections") if kind in sources), "")
+        self.lie_type = next((kind for kind in ("tracks", "detections") if kind in sources), "")
         self.add_sensors(forwarded, context)
         self.add_wires(forwarded)
         for name, victim in self.victims.items():
@@ -158,7 +158,7 @@ class Adversary(Node):
             self.proceed_views(victim, context)
 
     def on_gossip(self, received: Received, context: Context) -> None:
-        """The victim's trust in agents, on its way to others."""
+        """Forge or forward the victim's trust in agents, on its way to others."""
         victim, told = self.victim_of(received), received.body["trust"]
         forged = victim.attack.forge_trust(received.time_ns, victim.agent, tuple(received.body["agents"]), told)
         if np.array_equal(forged, told):
@@ -167,7 +167,7 @@ class Adversary(Node):
             self.forward_changed(victim, received, {**received.body, "trust": forged}, context)
 
     def on_command(self, received: Received, context: Context) -> None:
-        """What the victim's driver wants, on its way to the car."""
+        """Forge or forward what the victim's driver wants, on its way to the car."""
         victim, body = self.victim_of(received), received.body
         told = float(body["acceleration"][0]), float(body["curvature"][0])
         forged = victim.attack.forge_command(received.time_ns, *told)
@@ -223,7 +223,7 @@ class Adversary(Node):
     def proceed_views(self, victim: Victim, context: Context) -> None:
         """Forward the first views that wait, up to one of a frame whose lies are not known."""
         # Detections have passed before the agent's view can arrive; its tracks have not.
-        while victim.views and (self.last_wire != "tracks" or victim.views[0].frame in victim.attacked):
+        while victim.views and (self.lie_type != "tracks" or victim.views[0].frame in victim.attacked):
             self.attack_view(victim, victim.views.popleft(), context)
 
     def forward(self, victim: Victim, message: Received, context: Context) -> None:
@@ -236,7 +236,7 @@ class Adversary(Node):
             self.attack_detections(victim, message, pose, context)
         else:
             self.attack_states(victim, message, pose, context)
-        if schema == self.last_wire:
+        if schema == self.lie_type:
             victim.attacked.append(message.frame)
             self.proceed_views(victim, context)
 

@@ -3,7 +3,7 @@
 It discovers agents by their presence on the mesh and their first status, and forgets agents that leave. A batch is
 emitted when all agents have sent their tracks, or when the clock of the next frame arrives: a dead or silent agent
 does not stall it. Every batch has the newest tracks of each agent, however late they arrived, predicted to the time of
-the batch, until they are too old.
+the batch, until they are too old. Its handlers are those of `CollatingNode`.
 """
 
 from __future__ import annotations

@@ -1,10 +1,7 @@
 """A link: an agent's imperfect connection to the network.
 
-It is inserted before the broker on the wires that its agent publishes (tracks, status, view), and before its agent on
-those that it receives (the picture): see keyexpr_maps/network.toml. With several centres it is before all of them
-(network_centers.toml). Between peers it is an agent's connection to the radio: on all that the agent's peer sends,
-before all others, and on all that the peer hears (network_peers.toml). The rules act on every message in order: they
-forward, delay, drop, duplicate or change it.
+A map inserts it on wires, such as keyexpr_maps/network.toml, network_centers.toml and network_peers.toml. The rules
+act on every message in order: they forward, delay, drop, duplicate or change it.
 """
 
 from __future__ import annotations
@@ -64,7 +61,7 @@ class Link(Node):
     role = "link"
     inputs = {"clock": "clock", "pose": "pose"}
     outputs = {"report": "link_report"}
-    takes = unopened = (ANY,)
+    forwards = unopened = (ANY,)
     prompt = True
 
     def __init__(

@@ -13,7 +13,7 @@ keyexpr_maps/gossip.toml, it tells others its trust in agents: its own judgement
 Where a map has a wire for it (keyexpr_maps/awareness.toml), the peer of a vehicle also says where its agent is itself,
 by Cooperative Awareness Messages. For a receiver, the sender is one more of the sender's tracks.
 
-A map may lead any other wire to peers, too. They fuse its tracks, if the wire has `use = "fuse"`, as those of one more
+A map may lead any other wire to peers, too. They fuse its tracks, if the wire has `fuse = true`, as those of one more
 reporter beside its sender; of all else they only count the messages.
 """
 
@@ -43,7 +43,7 @@ from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
 from mast_zenoh.v2x import CamGeneration, CongestionControl, GenerationRules, Vehicle
 from mast_zenoh.v2x.station import Station
-from mast_zenoh.wiring.model import ANY, FUSE
+from mast_zenoh.wiring.model import ANY
 
 #: How long what a vehicle says of itself is used, s: until its next message, after 1 s at the latest, is overdue.
 AWARENESS_AGE_S = 1.2
@@ -53,6 +53,11 @@ ITSELF = 1 << 62
 COUNTED = {"heard": "heard", "heard_awareness": "aware"}
 #: Frame of reference of what a vehicle says of itself.
 WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+
+
+def reporter_of(sender: str, port: str) -> str:
+    """The name of a sender's tracks on a further wire, beside those that it broadcasts."""
+    return f"{sender}:{port}"
 
 
 class Peer(FusingNode):
@@ -148,14 +153,14 @@ class Peer(FusingNode):
         self.station.switch_on(float(context.rng("switched on").random()))
         sources = context.subscriptions.values()
         ports = {source.port for source in sources}
-        self.fused_ports = {
-            source.port for source in sources if source.traits.use == FUSE and source.message == "tracks"
-        }
+        self.fused_ports = {source.port for source in sources if source.traits.fuse and source.message == "tracks"}
         self.relaying = {self.agent, *(source.subject for source in sources if source.port == "relayed")}
         self.sensed.expected |= ports & {"pose", "own_view", "reception"}
 
     def choice(self, port: str, subject: str, step: int) -> RowChoice | None:
         """Of too many tracks, those that the input limit keeps."""
+        if port in self.fused_ports:
+            return self.admission.choice(reporter_of(subject, port), step)
         return self.admission.choice(subject, step) if port in ("own", "heard") else None
 
     def on_clock(self, received: Received, context: Context) -> None:
@@ -267,7 +272,9 @@ class Peer(FusingNode):
             if len(states):
                 self.station.hear(time_ns, states, states.position[0])
         else:
-            self.heard.add(f"{sender}/{port}", time_ns, states)
+            reporter = reporter_of(sender, port)
+            self.beyond[reporter] = self.admission.note(reporter, body)
+            self.heard.add(reporter, time_ns, states)
 
     def announce(self, time_ns: int, pose: Received, context: Context) -> None:
         """Say where the agent is, if that is due."""

@@ -188,7 +188,7 @@ def _band(fault: Fault, nodes: Sequence[str], backend: str, times_ns: Ints) -> d
 def band(
     kind: str, of_type: str, at_s: float, until_s: float | None, nodes: Sequence[str], backend: str
 ) -> dict[str, Any]:
-    """A band of the timeline, as in `Plan.bands`. kind: fault, attack or link"""
+    """A band of the timeline, as in `FaultPlan.bands`. kind: fault, attack or link"""
     names = ", ".join(nodes) if len(nodes) <= _MAX_NAMES else f"{len(nodes)} nodes"
     return {
         "label": f"{of_type} {names}",
@@ -269,7 +269,7 @@ def links_of(
     place: str,
     carriers: Callable[[], Carriers],
 ) -> dict[str, list[str]]:
-    """The links that a fault acts on, as in `Plan.rules`, each with its directions or sensors.
+    """The links that a fault acts on, as in `FaultPlan.rules`, each with its directions or sensors.
 
     Raises ConfigurationError for other targets.
 

@@ -20,8 +20,8 @@ from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.scenes.recording import TRUTH_COLUMNS, Recording, truth_states
 from mast_zenoh.wiring.model import Wiring, subject_of
 
-_PORTS = ("truth", "pose", "detections", "sweep")
-#: The messages of the simulator by port and subject: bodies by frame.
+_TYPES = ("truth", "pose", "detections", "sweep")
+#: The messages of the simulator by type and subject: bodies by frame.
 _Sent = Mapping[tuple[str, str], Mapping[int, Body]]
 
 
@@ -50,9 +50,9 @@ def _messages(folder: Path, resolved: Resolved) -> _Sent:
     legs = [
         (wire, leg)
         for wire, leg in Wiring.from_json(resolved.wiring).legs()
-        if leg.publisher.node == simulator and leg.publisher.port in _PORTS
+        if leg.publisher.node == simulator and wire.message in _TYPES
     ]
-    keys = {leg.key: (leg.publisher.port, wire.subject) for wire, leg in legs}
+    keys = {leg.key: (wire.message, wire.subject) for wire, leg in legs}
     wires = {wire.key for wire, _ in legs}
     sent: dict[tuple[str, str], dict[int, Body]] = defaultdict(dict)
     for message in read(folder, lambda channel: channel.get("wire") in wires):

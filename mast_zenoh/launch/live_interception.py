@@ -49,6 +49,7 @@ from mast_zenoh.scenario.nodes import add_surroundings, node_spec
 from mast_zenoh.scenario.resolution import modules_of
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import maps
+from mast_zenoh.wiring.endpoints import check_forwarding
 from mast_zenoh.wiring.insertion import InsertionPoint, insert
 from mast_zenoh.wiring.model import ANY, Endpoint, Leg, Wire, Wiring, agent_of, takes
 
@@ -261,8 +262,8 @@ def _place(
     (such as an adversary's report).
     """
     place, wire = f"{path}: {cls.__name__}", f"the wire {target.key!r}"
-    input_port = port_of(cls, target.message, input, place, "input", wire)
-    output_port = port_of(cls, target.message, output, place, "output", wire)
+    published = target.legs[0].publisher.port
+    input_port, output_port = ports_of(cls, target.message, published, input, output, place, wire)
     other_inputs: dict[str, str] = {}
     usual = _usual_inputs(cls)
     for port, message in cls.inputs.items():
@@ -281,8 +282,25 @@ def _place(
     return InsertionPoint(target.key, input_port, output_port, other_inputs, published_wires)
 
 
-def port_of(node: type[Node], message: str, requested: str | None, place: str, side: str, wire: str) -> str:
-    """The port of a node for messages of a type: the requested one, or the only one, or a further one if it takes them.
+def ports_of(
+    node: type[Node], message: str, published: str, input: str | None, output: str | None, place: str, wire: str
+) -> tuple[str, str]:
+    """The ports by which a node is on a wire: the requested ones, or the only ones, or further ones if it forwards it.
+
+    message: type of what the wire carries;  published: the publisher's port;  wire: in words, for errors
+    """
+    if takes(node.forwards, message) and message not in node.outputs.values():
+        input = input or (f"{published}_in" if published in node.inputs else published)
+        output = output or f"{input}_out"
+        check_forwarding(node.__name__, node.inputs, node.outputs, input, output, place)
+        return input, output
+    sides = (("input", input), ("output", output))
+    input, output = (_port_of(node, message, requested, place, side, wire) for side, requested in sides)
+    return input, output
+
+
+def _port_of(node: type[Node], message: str, requested: str | None, place: str, side: str, wire: str) -> str:
+    """The port of a node for messages of a type: the requested one, or the only one.
 
     side: "input" or "output";  wire: what carries the messages, for errors
     """
@@ -292,16 +310,13 @@ def port_of(node: type[Node], message: str, requested: str | None, place: str, s
     if ANY in ports.values():
         raise NodeFileError(f"{place} subscribes to every key: it cannot be put on a wire")
     matching = [port for port, carried in ports.items() if carried == message]
-    of_type = {"input": message, "output": f"{message}_out"}[side]
-    if not matching and takes(node.takes, message):
-        return requested or of_type
     if requested is not None:
         if requested not in ports:
             raise NodeFileError(f"{place}: no {side} port {requested!r}{nearest(requested, ports)}")
         if requested not in matching:
             raise NodeFileError(f"{place}: {side} {requested!r} carries {ports[requested]!r} messages, not {message!r}")
         return requested
-    if of_type in matching:
+    if (of_type := {"input": message, "output": f"{message}_out"}[side]) in matching:
         return of_type
     if len(matching) != 1:
         candidates = f"the {side}s {', '.join(matching)}: choose one with --{side}" if matching else f"no {side}"

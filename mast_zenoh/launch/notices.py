@@ -185,7 +185,7 @@ def _left_out(left_out: Mapping[str, int]) -> tuple[int, str]:
     """(count, text) of the tracks that input limits left out."""
     agents = [f"{agent}: {count}" for agent, count in left_out.items() if count]
     more = f" and {len(agents) - _MAX_KEYS} more" if len(agents) > _MAX_KEYS else ""
-    text = f"tracks not fused, as their agents sent too many ({', '.join(agents[:_MAX_KEYS])}{more}): see input_limit"
+    text = f"tracks not fused, as too many were sent by {', '.join(agents[:_MAX_KEYS])}{more}: see input_limit"
     return sum(left_out.values()), text
 
 

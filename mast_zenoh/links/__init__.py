@@ -34,7 +34,7 @@ from mast_zenoh.links.transit import (
     Reorder,
 )
 
-#: The types of messages that pass through a link, and ports for them; link reports contain indices into this tuple.
+#: Types of messages that link reports tell apart: they have indices into this tuple; its length stands for any other.
 WIRES = ("tracks", "status", "picture", "detections", "collated", "view", "relayed", "gossip", "command")
 #: The effects on a message; link reports contain indices into this tuple.
 FATES = ("dropped", "delayed", "duplicated", "corrupted", "altered", "edited")

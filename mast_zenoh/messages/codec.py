@@ -299,7 +299,7 @@ def _packed(schema: Schema, body: Any) -> Body | None:
 
 
 def _columns(schema: Schema, body: Mapping[str, Any]) -> Body:
-    """The columns of a packed body; raises MessageError for one that `Layout.unpack` does not accept."""
+    """The columns of a packed body; raises MessageError for one that `BodyLayout.unpack` does not accept."""
     columns: dict[str, NDArray[Any]] = {}
     sizes: dict[str, int] = {}
     for column in schema.columns:

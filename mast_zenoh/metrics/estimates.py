@@ -9,6 +9,8 @@ LOCAL, RECEIVED = "local", "received"
 #: The command centre's picture: as computed, by its frame, shared by all agents; as received by an agent; and the
 #: newest one available to the agent in each frame, which may be about an earlier frame.
 PICTURE, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL = "picture", "picture_received", "picture_on_arrival"
+#: What no wire of a map carries: it is measured where messages arrive.
+DERIVED = (RECEIVED, PICTURE_RECEIVED, PICTURE_ON_ARRIVAL)
 #: An agent's estimate from its own sensors and the picture together.
 MISSION = "mission"
 

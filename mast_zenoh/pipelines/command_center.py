@@ -65,7 +65,8 @@ class Pipeline(ABC):
     ) -> tuple[ObjectStates, Ints]:
         """The picture and the support of its objects at `time_ns`.
 
-        The picture is sorted by id; support (n,) is the number of agents with a track in each object's cluster.
+        The picture is sorted by id; support (n,) is the number of reporters with a track in each object's
+        cluster: an agent counts once for each of its wires that are fused.
 
         states: n tracks of all agents, world frame, at `time_ns`
         agent: (n,) int64, rows of `agents`, the agents' names

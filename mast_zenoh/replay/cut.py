@@ -210,7 +210,7 @@ def _is_input(end: Endpoint, wire: Wire, classes: Mapping[str, type[Node]]) -> b
     if end.node not in classes:
         return True
     cls = classes[end.node]
-    if end.port not in cls.inputs and takes(cls.takes, wire.message):
+    if end.port not in cls.inputs and takes((*cls.takes, *cls.forwards), wire.message):
         return True
     known = cls.inputs.get(end.port)
     if known not in (None, wire.message):

@@ -23,6 +23,7 @@ from mast_zenoh.messages import user_types
 from mast_zenoh.messages.limits import LEEWAY_S, fused_rows, limits_for
 from mast_zenoh.messages.packed import check_kernels
 from mast_zenoh.messages.schemas import Schema
+from mast_zenoh.metrics.estimates import DERIVED
 from mast_zenoh.node import Node
 from mast_zenoh.scenario import driving
 from mast_zenoh.scenario.cooperation import check_cooperation, uncovered
@@ -256,10 +257,16 @@ def _wiring(path: Path, built: _Built, sources: maps.Sources, on_wires: Iterable
             for ports in (node.inputs, node.outputs)
         )
         node_options[name] = endpoints.NodeOptions(
-            spec.role, bindings, inputs, outputs, node.takes, node.affects, tuple(node.fuses)
+            spec.role, bindings, inputs, outputs, node.takes, node.forwards, node.affects, tuple(node.fuses)
         )
     wiring = maps.resolve(sources, node_options, _shipped_ports())
     wires = {wire.key: wire for wire in wiring.wires}
+    for wire in wiring.wires:
+        if wire.traits.estimate in DERIVED:
+            raise WiringError(
+                f"{path}: {wire.key}: estimate: {wire.traits.estimate!r} is measured where messages arrive: expected "
+                "another name"
+            )
     for name, key in on_wires:
         wires[key] = _with_link(path, wires, key, name, node_options)
     wiring = replace(wiring, wires=tuple(wires.values()))
@@ -273,7 +280,7 @@ def _wiring(path: Path, built: _Built, sources: maps.Sources, on_wires: Iterable
                 )
     subscribers = {name for _, _, name in wiring.flows()}
     for name, own in node_options.items():
-        if (own.inputs or own.takes) and name not in subscribers:
+        if (own.inputs or own.takes or own.forwards) and name not in subscribers:
             raise WiringError(
                 f"{path}: {name} would receive nothing: no wire leads to its input ports ({', '.join(own.inputs)}); "
                 f"name them in a map, or subscribe to every key on one port of the type {ANY!r}"
@@ -287,7 +294,9 @@ def _with_link(
     """The wire of a key with a link before its subscribers; raises WiringError if there is none, or no port for it."""
     if key not in wires:
         raise WiringError(f"{path}: {link}: no wire {key!r}{nearest(key, wires)}")
-    return maps.insert(wires[key], dict(role="link", node=link), "", nodes, f"{path}: the fault of {key!r}")
+    port = wires[key].legs[0].publisher.port
+    entry = dict(role="link", node=link) | (dict(input=f"{port}_in") if port in nodes[link].inputs else {})
+    return maps.insert(wires[key], entry, "", nodes, f"{path}: the fault of {key!r}")
 
 
 def _names(value: object) -> str | tuple[str, ...] | None:
@@ -303,12 +312,13 @@ def _further_sensors(spec: NodeSpec) -> tuple[str, ...]:
     return tuple(str(sensor["name"]) for sensor in sensors[1:])
 
 
-def _shipped_ports() -> dict[str, set[str]]:
+def _shipped_ports() -> dict[tuple[str, str], set[str]]:
     """Ports of the shipped nodes by role; a user's node may lack any of them."""
     shipped = [loading.node_class(bundle.ROOT / "nodes" / name) for name in bundle.names("nodes")]
-    ports: dict[str, set[str]] = {}
+    ports: dict[tuple[str, str], set[str]] = {}
     for cls in shipped:
-        ports.setdefault(cls.role, set()).update(cls.inputs, cls.outputs)
+        ports.setdefault((cls.role, "input"), set()).update(cls.inputs)
+        ports.setdefault((cls.role, "output"), set()).update(cls.outputs)
     return ports
 
 

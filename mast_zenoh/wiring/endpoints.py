@@ -24,7 +24,7 @@ class NodeOptions:
     """The properties of a node that the wiring depends on.
 
     options: options that bind it to a wire, or to several; inputs, outputs: message type by port
-    takes: message types of further ports that a map may give it, see `Node.takes`
+    takes, forwards: message types of further ports that a map may give it, see `Node`
     affects, fuses: see `NodeFlow`
     """
 
@@ -33,6 +33,7 @@ class NodeOptions:
     inputs: Mapping[str, str]
     outputs: Mapping[str, str]
     takes: Collection[str] = ()
+    forwards: Collection[str] = ()
     affects: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     fuses: tuple[str, ...] = ()
 
@@ -56,9 +57,8 @@ def members(
     Without a placeholder, all nodes of the role.
 
     A node belongs to a subject if it is the subject, or if its option with the placeholder's name names it (an option
-    may name several subjects). If no node
-    of the role has that option, all of them belong to every subject. `other role` means the nodes of the role that do
-    not belong to it.
+    may name several subjects). If no node of the role has that option, all of them belong to every subject. `other
+    role` means the nodes of the role that do not belong to it.
 
     node: keep only the node of this name
 
@@ -95,7 +95,7 @@ def ports(
 ) -> list[Endpoint]:
     """The port of each node; an `optional` port is skipped if a node lacks it.
 
-    output: an output port; forwards: on which the node sends on what it takes, so that it may be a further one
+    output: an output port;  forwards: of a node that sends on what it takes, which may be a further one
 
     Raises WiringError where a node has no such port, or one for another message type.
     """
@@ -106,9 +106,27 @@ def ports(
         if port not in known:
             if port in optional:
                 continue
-            if (output and not forwards) or not takes(node.takes, message):
+            further = node.forwards if forwards else () if output else node.takes
+            if not takes(further, message):
                 raise WiringError(f"{place}: {name} has no {side} port {port!r}{nearest(port, known)}")
         elif known[port] != message:
             raise WiringError(f"{place}: {name}.{port} carries {known[port]!r} messages, the wire {message!r}")
         ends.append(Endpoint(name, port))
     return ends
+
+
+def check_forwarding(
+    node: str, inputs: Collection[str], outputs: Collection[str], port: str, output: str, place: str
+) -> None:
+    """Raise WiringError if a node on a wire does not send on by `output` what arrives on `port`.
+
+    inputs, outputs: its own ports
+    """
+    if port in inputs and output not in outputs:
+        raise WiringError(
+            f"{place}: {node} keeps what arrives on its port {port!r}: expected another input, such as '{port}_in'"
+        )
+    if port not in inputs and output != f"{port}_out":
+        raise WiringError(
+            f"{place}: output: found {output!r}, expected '{port}_out', as {node} sends on what arrives on {port!r}"
+        )

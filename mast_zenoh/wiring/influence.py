@@ -1,8 +1,8 @@
 """What the messages on a wire can affect: reachability in a wiring. Pure.
 
 A wire leads to its subscribers; a node, from each input to the outputs that it affects, after a number of frames
-(`NodeFlow`). Interposers forward on their wire. A message has no influence on what its own origin leaves out
-(`Traits.origins`), nor through the world: what a car does changes the world, not what is said of it.
+(`NodeFlow`). Interposers forward on their wire. A message has no influence on an agent that gets it back in objects
+that say from which agents they come, nor through the world: what a car does changes the world, not what is said of it.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.wiring.model import NodeFlow, Wire, Wiring, agent_of
 
 _FORWARDS = NodeFlow()
@@ -61,8 +62,9 @@ class Influence:
             wire = self.wires[key]
             if frames > sent.get(key, frames):
                 continue
+            left_out = _says_origins(wire.message)
             for end in (*wire.subscribers, *(each.end for each in wire.listeners if not each.source)):
-                if only not in ("", end.node) or (wire.traits.origins and origin in self._agents_of(end.node)):
+                if only not in ("", end.node) or (left_out and origin in self._agents_of(end.node)):
                     continue
                 if frames >= arrived.get((key, end.node), frames + 1):
                     continue
@@ -81,3 +83,11 @@ class Influence:
     def _agents_of(self, node: str) -> set[str]:
         """The agents about which a node publishes."""
         return {agent_of(wire.subject) for _, wire in self._outputs[node]}
+
+
+def _says_origins(message: str) -> bool:
+    """Whether the objects of messages say from which agents they come, so that these leave them out."""
+    schema = SCHEMAS.get(message)
+    return schema is not None and any(
+        column.name == "origin" and column.shape == ("n", "a") for column in schema.columns
+    )

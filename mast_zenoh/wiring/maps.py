@@ -62,6 +62,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -71,11 +72,10 @@ from typing import Any
 from mast_zenoh.errors import WiringError, nearest
 from mast_zenoh.messages.packed import CODECS
 from mast_zenoh.messages.schemas import SCHEMAS
-from mast_zenoh.wiring.endpoints import OTHER, NodeOptions, members, ports
+from mast_zenoh.wiring.endpoints import OTHER, ROLES, NodeOptions, check_forwarding, members, ports
 from mast_zenoh.wiring.model import (
     ANY,
     DIRECTIONS,
-    FUSE,
     TAP,
     Branch,
     Endpoint,
@@ -102,6 +102,9 @@ _KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "codec": (("wire", "codec"), ()),
 }
 
+#: Columns of messages about objects that can be scored and fused.
+_OBJECTS = {"id", "position", "velocity", "covariance"}
+
 #: The second placeholder of a key.
 PART = "sensor"
 
@@ -125,20 +128,20 @@ def load(path: Path) -> dict[str, Any]:
 def resolve(
     sources: Sources,
     nodes: Mapping[str, NodeOptions],
-    optional: Mapping[str, Collection[str]] = MappingProxyType({}),
+    optional: Mapping[tuple[str, str], Collection[str]] = MappingProxyType({}),
 ) -> Wiring:
     """The wiring of `nodes` under a map followed by rewrites.
 
     sources: (name of the file, its content) of the map and of each rewrite
-    optional: ports by role that a node of that role may lack: wires skip it. (A user's adversary need not take the
-    pose that the shipped one takes.)
+    optional: ports by role and side (input or output) that a node of that role may lack: wires skip it. (A user's
+    adversary need not take the pose that the shipped one takes.)
 
     A node with an input port of the type `ANY` receives every key without being named in a map.
 
     Raises WiringError, naming the file and the entry, for unknown keys, roles, nodes, ports or messages, invalid key
     expressions, a wire with several publishers, a node twice on one wire, a rewrite that matches no wire, or is for a
-    role that does not subscribe to the wire, a node that would receive its own messages, a port that would publish two
-    wires of one subject, and an entry without any node.
+    role that does not subscribe to the wire, a node that would receive its own messages, or those of a wire twice, a
+    port that would publish two wires of one subject, and traits that contradict others.
     """
     for name in nodes:
         if not _CHUNK.fullmatch(name):
@@ -146,6 +149,7 @@ def resolve(
     for file, content in sources:
         _check_keys(content, _KEYS, file)
     wires: dict[str, Wire] = {}
+    places: dict[str, str] = {}  # of the entries, by key
     templates: dict[str, list[str]] = {}
     subscribing: dict[str, set[str]] = {}  # the roles that a template names as subscribers
     for place, entry in _entries(sources, "wire"):
@@ -158,7 +162,7 @@ def resolve(
         for wire in _instances(entry, nodes, optional, place):
             if wire.key in wires:
                 raise WiringError(f"{place}: the key {wire.key!r} already has a publisher")
-            wires[wire.key] = wire
+            wires[wire.key], places[wire.key] = wire, place
             templates[entry["key"]].append(wire.key)
     for place, entry in _entries(sources, "insert"):
         if entry.get("optional") and entry["wire"] not in templates:
@@ -189,42 +193,72 @@ def resolve(
             wires[key] = replace(wires[key], codec=_codec(entry["codec"], wires[key], place))
     flows = {name: NodeFlow(node.role, node.affects, node.fuses) for name, node in nodes.items()}
     wiring = Wiring(tuple(wires.values()), _overhearers(nodes), flows)
-    _check_outputs(wiring)
+    _check_outputs(wiring, places)
+    _check_traits(wiring, places)
     return wiring
 
 
-def _check_outputs(wiring: Wiring) -> None:
-    """Raise WiringError for a port that would publish two wires of one subject: its node could not tell them apart."""
+def _check_outputs(wiring: Wiring, places: Mapping[str, str]) -> None:
+    """Raise WiringError for a port that would publish two wires of one subject: its node could not tell them apart.
+
+    places: of the entries, by key
+    """
     keys: dict[tuple[str, str, str], str] = {}
     for wire, leg in wiring.legs():
         node, port = leg.publisher.node, leg.publisher.port
         other = keys.setdefault((node, port, wire.subject), leg.key)
         if other != leg.key:
             raise WiringError(
-                f"{node}.{port} would publish on {other!r} and on {leg.key!r}: expected a port for each, or two nodes"
+                f"{places[wire.key]}: {node}.{port} would publish on {other!r} and on {leg.key!r}: expected a port for "
+                "each, or two nodes"
+            )
+
+
+def _check_traits(wiring: Wiring, places: Mapping[str, str]) -> None:
+    """Raise WiringError for traits that other wires contradict. places: of the entries, by key"""
+    publishers = {wire.key: wire.legs[0].publisher.node for wire in wiring.wires}
+    estimates: dict[tuple[str, str], str] = {}
+    for wire in wiring.wires:
+        traits, publisher = wire.traits, publishers[wire.key]
+        if traits.of and (traits.of == wire.key or publishers.get(traits.of) != publisher):
+            own = [key for key, node in publishers.items() if node == publisher and key != wire.key]
+            hint = nearest(traits.of, own)
+            raise WiringError(
+                f"{places[wire.key]}: of: found {traits.of!r}, expected another wire of {publisher}{hint}"
+            )
+        other = estimates.setdefault((wire.subject, traits.estimate), wire.key) if traits.estimate else wire.key
+        if other != wire.key:
+            raise WiringError(
+                f"{places[wire.key]}: estimate: {traits.estimate!r} is already that of {other!r}: expected another name"
             )
 
 
 def _instances(
     entry: Mapping[str, Any],
     nodes: Mapping[str, NodeOptions],
-    optional: Mapping[str, Collection[str]],
+    optional: Mapping[tuple[str, str], Collection[str]],
     place: str,
 ) -> Iterator[Wire]:
     """The wires of one entry: one for each value of its placeholder."""
     template, message = entry["key"], entry["message"]
     if message not in SCHEMAS:
         raise WiringError(f"{place}: no message type {message!r}{nearest(message, SCHEMAS)}")
+    if message == "clock" and not str(entry["from"]).startswith("simulator."):
+        raise WiringError(f"{place}: from: found {entry['from']!r}, expected the simulator: a run has one clock")
     placeholder, traits = _placeholder(template), _traits(entry, place)
     for subject in _subjects(template, nodes, place):
 
         def endpoints(reference: object, output: bool = False, subject: str = subject) -> list[Endpoint]:
             match = _ENDPOINT.fullmatch(str(reference))
             if not match:
-                raise WiringError(f"{place}: {reference!r} is not an endpoint, expected role.port, or other role.port")
+                raise WiringError(
+                    f"{place}: {reference!r} is not an endpoint, expected role.port, or other role.port, of small "
+                    "letters and _"
+                )
             other, role, port = match.groups()
             referenced = members(f"{other or ''}{role}", nodes, place, placeholder=placeholder, subject=subject)
-            return ports(referenced, port, message, place, output=output, optional=optional.get(role, ()))
+            lacking = optional.get((role, "output" if output else "input"), ())
+            return ports(referenced, port, message, place, output=output, optional=lacking)
 
         def filled(text: str, subject: str = subject) -> str:
             return text.replace(f"{{{placeholder}}}", agent_of(subject)).replace(f"{{{PART}}}", part_of(subject))
@@ -242,6 +276,10 @@ def _instances(
         subscribers = [end for reference in _listed(entry["to"]) for end in endpoints(reference)]
         if any(end.node == publishers[0].node for end in subscribers):
             raise WiringError(f"{place}: {publishers[0].node} would receive its own messages on {key!r}")
+        for node, count in Counter(end.node for end in subscribers).items():
+            if count > 1:
+                on = ", ".join(repr(end.port) for end in subscribers if end.node == node)
+                raise WiringError(f"{place}: to: {node} would receive {key!r} on {on}: expected one port")
         of_subject = replace(traits, of=filled(traits.of))
         yield Wire(key, subject, message, (Leg(key, publishers[0], tuple(subscribers)),), traits=of_subject)
 
@@ -255,9 +293,14 @@ def _traits(entry: Mapping[str, Any], place: str) -> Traits:
             raise WiringError(
                 f"{place}: {each.name}: found {value!r}, expected {'true or false' if kind is bool else 'a string'}"
             )
-    for name, value, known in (("direction", traits.direction, DIRECTIONS), ("use", traits.use, ("", FUSE))):
-        if value not in known:
-            raise WiringError(f"{place}: {name}: found {value!r}{nearest(value, known)}")
+    if traits.direction not in DIRECTIONS:
+        raise WiringError(f"{place}: direction: found {traits.direction!r}{nearest(traits.direction, DIRECTIONS)}")
+    columns = {column.name for column in SCHEMAS[entry["message"]].columns}
+    for name, wanted in (("estimate", traits.estimate), ("fuse", traits.fuse)):
+        if wanted and not columns >= _OBJECTS:
+            raise WiringError(
+                f"{place}: {name}: found messages of type {entry['message']!r}, expected objects, such as tracks"
+            )
     if traits.estimate and not _CHUNK.fullmatch(traits.estimate):
         raise WiringError(f"{place}: estimate: found {traits.estimate!r}, expected letters, digits, _ . and -")
     return traits
@@ -270,6 +313,9 @@ def _subjects(template: str, nodes: Mapping[str, NodeOptions], place: str) -> li
         return [""]
     if placeholders[1:] not in ([], [PART]):
         raise WiringError(f"{place}: {template!r} has {len(placeholders)} placeholders, expected a role, then {PART!r}")
+    roles = {*ROLES, *(node.role for node in nodes.values())}
+    if placeholders[0] not in roles:
+        raise WiringError(f"{place}: {template!r}: no role {placeholders[0]!r}{nearest(placeholders[0], roles)}")
     of_role = [name for name, node in nodes.items() if node.role == placeholders[0]]
     if len(placeholders) == 1:
         return of_role
@@ -309,8 +355,8 @@ def _codec(name: str, wire: Wire, place: str) -> str:
     if codec.itself and not wire.traits.itself:
         others = [other for other, each in CODECS.items() if wire.message in each.messages and not each.itself]
         raise WiringError(
-            f"{place}: codec: found {name} on {wire.key!r}, whose wire has not `itself = true`; {name} is for "
-            f"{codec.meaning}; expected {', '.join(others)}, or no codec"
+            f"{place}: codec: found {name} on {wire.key!r}, expected `itself = true` on that wire, as {name} is for "
+            f"{codec.meaning}; or {', '.join(others)}, or no codec"
         )
     return name
 
@@ -359,7 +405,10 @@ def _entries(sources: Sources, kind: str) -> Iterator[tuple[str, Mapping[str, An
     """Yield (place, entry) of one kind; raises WiringError for invalid entries."""
     required, optional = _KEYS[kind]
     for file, content in sources:
-        for index, entry in enumerate(content.get(kind, ())):
+        entries = content.get(kind, ())
+        if isinstance(entries, Mapping):
+            raise WiringError(f"{file}: {kind}: found a table, expected [[{kind}]] with two brackets")
+        for index, entry in enumerate(entries):
             place = f"{file}: {kind} {index + 1}"
             _check_keys(entry, (*required, *optional), place, required=required)
             for key in ("key", "message", "from", "wire", "role", "input", "output", "leg", "node", "codec"):
@@ -377,7 +426,7 @@ def _check_keys(
         if key not in known:
             raise WiringError(f"{place}: unknown key {key!r}{nearest(key, known)}")
     if missing := sorted(set(required) - entry.keys()):
-        raise WiringError(f"{place}: missing {', '.join(missing)}")
+        raise WiringError(f"{place}: missing key{'s' * (len(missing) > 1)} {', '.join(map(repr, missing))}")
 
 
 def insert(
@@ -394,8 +443,11 @@ def insert(
         entry["role"], nodes, place, placeholder=placeholder, subject=wire.subject, node=entry.get("node")
     )
     port = entry.get("input", wire.legs[0].publisher.port)
-    into = ports(inserted, port, wire.message, place)
-    out = ports(inserted, entry.get("output", f"{port}_out"), wire.message, place, output=True, forwards=True)
+    output = entry.get("output", f"{port}_out")
+    into = ports(inserted, port, wire.message, place, forwards=True)
+    out = ports(inserted, output, wire.message, place, output=True, forwards=True)
+    for name, node in inserted.items():
+        check_forwarding(name, node.inputs, node.outputs, port, output, place)
     for entrance, exit_ in zip(into, out, strict=True):
         subscriber = _subscriber(wire, entrance.node, entry["to"], nodes, place) if "to" in entry else None
         if "to" in entry and subscriber is None:

@@ -18,8 +18,6 @@ TAP = "@tap"
 
 #: What a wire's messages are for an agent: from its sensors, from it to others, or from others to it.
 DIRECTIONS = SENSOR, UP, DOWN = "sensor", "up", "down"
-#: What nodes that take a wire on a further port do with it, unless they only hear it.
-FUSE = "fuse"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,16 +27,14 @@ class Traits:
     direction: one of DIRECTIONS, for the agent in its key, or for all agents
     estimate: name of the estimate that its messages are, which is scored; empty: none
     of:       key of another wire of the same sender, whose messages have the same errors of the sender's pose
-    use:      FUSE, or empty: what a node does with it that has no port of its own for it (`Node.takes`)
-    origins:  whether its objects say from which agents they come, so that these leave them out
+    fuse:     whether a node that has no port of its own for it (`Node.takes`) fuses its objects
     itself:   whether its only object is its sender
     """
 
     direction: str = UP
     estimate: str = ""
     of: str = ""
-    use: str = ""
-    origins: bool = False
+    fuse: bool = False
     itself: bool = False
 
     def to_json(self) -> dict[str, Any]:
@@ -56,7 +52,7 @@ _PLAIN = Traits()
 
 @dataclass(frozen=True, slots=True)
 class NodeFlow:
-    """What goes through a node.
+    """Which outputs of a node its inputs affect.
 
     role:    of the node
     affects: by input port, the output ports whose messages it can affect, each with the number of frames after which;
@@ -75,7 +71,7 @@ class NodeFlow:
         """
         if port in self.affects or "" not in self.affects:
             return self.affects.get(port)
-        return self.affects[""] if traits.use == FUSE else {}
+        return self.affects[""] if traits.fuse else {}
 
     def to_json(self) -> dict[str, Any]:
         """Those of its fields that are not empty."""
@@ -121,7 +117,7 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One hop of a wire: a key, its one publisher and its subscribers."""
+    """One key of a wire: its one publisher and its subscribers."""
 
     key: str
     publisher: Endpoint
@@ -153,7 +149,7 @@ class Listener:
 class Wire:
     """A logical connection.
 
-    subject: the names in its key (the agent of agent/{agent}/pose), see `subjects`, or empty
+    subject: the names in its key (the agent of agent/{agent}/pose), see `agent_of`, or empty
     legs:      the trunk, common to all subscribers; its last leg has the wire's key, and leads to the subscribers
                without a branch and to the entrances of the branches
     listeners: other subscribers, which are not subscribers of its legs

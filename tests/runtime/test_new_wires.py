@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -43,14 +44,14 @@ class IntentAgent(Agent):
     def publish_tracks(self, perceived, tracks, context):
         super().publish_tracks(perceived, tracks, context)
         origin, rotation = self.pipeline.reference(perceived.pose)
-        body = tracks.select(slice(0, 3)).columns() | {"origin": origin, "rotation": rotation}
+        body = tracks.select(slice(0, 30)).columns() | {"origin": origin, "rotation": rotation}
         context.publish("intents", body, frame=perceived.frame, time_ns=perceived.time_ns)
 '''
 OF_TRACKS = """
 from mast_zenoh import scenario as scenarios
 
 
-def scenario(use="fuse"):
+def scenario(wires="fuse"):
     _, content = scenarios.load("peers", ["n_infrastructure=2", "n_mobile=0"])
     content["agents"] = {"*": content["agents"]["*"] | dict(file="my_agent.py")}
     attack = dict(type="UncoordinatedAttack", start_s=0.5, selection=dict(
@@ -59,7 +60,7 @@ def scenario(use="fuse"):
         name="intents",
         adversaries=dict(liar=dict(type="Adversary", agent="infra_1", attack=attack)),
         links={"infra_2": dict(up=[dict(type="Loss", probability=0.5)])},
-        keyexpr=dict(map="testbed.toml", rewrites=["peers.toml", f"intents_{use}.toml"]),
+        keyexpr=dict(map="testbed.toml", rewrites=["peers.toml", f"intents_{wires}.toml"]),
     )
 """
 OF_OFFERS = '''
@@ -149,9 +150,8 @@ def folder() -> Path:
     files = {
         "my_agent.py": AGENT,
         "intents.py": OF_TRACKS,
-        "intents_fuse.toml": f'{INTENTS}use = "fuse"\n{inserts}',
+        "intents_fuse.toml": f"{INTENTS}fuse = true\n{inserts}",
         "intents_hear.toml": f"{INTENTS}{inserts}",
-        "intents_wrong.toml": f'{INTENTS}use = "fused"\n{inserts}',
         "offers.py": OF_OFFERS,
         "offers.toml": OFFERS + INSERTS.replace("WIRE", "shop/{shop}/offer"),
     }
@@ -167,14 +167,14 @@ def played(name: str, **parameters: Any) -> mast.Run:
 
 
 def test_peers_fuse_a_further_wire_and_its_lies_are_blamed() -> None:
-    run = played("intents.py", use="fuse")
+    run = played("intents.py", wires="fuse")
     assert run.summary["agents"]["ego"]["picture"]["fp_split"]["attack"] > 0.3
     assert run.summary["interposers"]["liar"]["wires"] == ["agent/infra_1/intents"]
     assert run.summary["interposers"]["liar"]["agreement"] == "agrees"
 
 
 def test_a_link_acts_on_several_wires_of_one_type() -> None:
-    run = played("intents.py", use="fuse")
+    run = played("intents.py", wires="fuse")
     rows = run.attacks.to_pylist()
     lost = {row["wire"] for row in rows if row["interposer"] == "link_infra_2" and row["effect"] == "dropped"}
     assert lost == {"agent/infra_2/broadcast", "agent/infra_2/intents"}
@@ -182,22 +182,88 @@ def test_a_link_acts_on_several_wires_of_one_type() -> None:
 
 
 def test_what_is_on_a_further_wire_is_an_estimate_with_all_metrics() -> None:
-    intents = played("intents.py", use="fuse").summary["agents"]["infra_2"]["intents"]
+    intents = played("intents.py", wires="fuse").summary["agents"]["infra_2"]["intents"]
     assert intents["tp"]["mean"] > 0.0
     assert intents["fp_split"]["attack"] == 0.0, "it is scored as it was sent"
 
 
 def test_peers_only_hear_a_wire_that_is_not_for_fusion_and_no_estimate_depends_on_it() -> None:
-    run = played("intents.py", use="hear")
+    run = played("intents.py", wires="hear")
     assert run.summary["agents"]["ego"]["picture"]["fp_split"]["attack"] == 0.0
     assert explanations(run)["liar"] == ("no estimate depends on agent/infra_1/intents",)
     counts = json.loads((run.path / "results" / "peer_ego" / "results.json").read_text())["radio"]
     assert counts["intents/infra_1"] == 25
 
 
-def test_a_use_that_does_not_exist_is_refused_with_its_place() -> None:
-    with pytest.raises(WiringError, match=r"intents_wrong.toml: wire 1: use: found 'fused'; did you mean 'fuse'\?"):
-        played("intents.py", use="wrong")
+LOSSLESS = """
+from mast_zenoh import scenario as scenarios
+
+
+def scenario():
+    _, content = scenarios.load("baseline", ["n_infrastructure=1", "n_mobile=0"])
+    fault = dict(type="Loss", on="agent/infra_1/pose", probability=0.0, at=0.5, until=1.0)
+    return content | dict(name="lossless", faults=[fault])
+"""
+ON_DETECTIONS = """
+[[insert]]
+wire = "agent/{agent}/detections"
+role = "adversary"
+"""
+
+
+def test_lies_about_detections_are_blamed_for_errors_on_a_wire_that_a_subclass_adds() -> None:
+    (folder() / "intents_sensor.toml").write_text(f"{INTENTS}fuse = true\n{ON_DETECTIONS}")
+    intents = played("intents.py", wires="sensor").summary["agents"]["infra_1"]["intents"]
+    assert intents["fp_split"]["attack"] > 1.0
+
+
+def test_a_link_on_a_wire_whose_port_it_uses_itself_forwards_the_messages() -> None:
+    (folder() / "lossless.py").write_text(LOSSLESS)
+    run = played("lossless.py")
+    assert run.summary["agents"]["infra_1"]["local"]["tp"]["mean"] > 5.0
+    assert not run.attacks.num_rows
+
+
+#: By what is wrong: what replaces it in the entry, and what the error says.
+WRONG = {
+    "role in the key": ("{agent}/intents", "{agnet}/intents", "no role 'agnet'; did you mean 'agent'?"),
+    "input port": ("other peer.intents", "other agent.mission", "has no input port 'mission'"),
+    "two ports": ('["other peer.intents"]', '["other peer.intents", "other peer.spare"]', "on 'intents', 'spare'"),
+    "estimate of another wire": ('= "intents"', '= "local"', "'local' is already that of 'agent/"),
+    "estimate on arrival": ('= "intents"', '= "received"', "'received' is measured where messages arrive"),
+    "estimate of poses": ('message = "tracks"', 'message = "pose"', "messages of type 'pose', expected objects"),
+    "wire of the same sender": ("estimate =", 'of = "agent/{agent}/track"\nestimate =', "did you mean 'agent/"),
+    "clock": ('message = "tracks"', 'message = "clock"', "expected the simulator: a run has one clock"),
+    "kind of fuse": ("estimate =", 'fuse = "yes"\nestimate =', "fuse: found 'yes', expected true or false"),
+    "brackets": ("[[wire]]", "[wire]", "expected [[wire]] with two brackets"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_a_wrong_wire_is_refused_with_its_place(what: str) -> None:
+    right, wrong, message = WRONG[what]
+    assert right in INTENTS
+    name = what.replace(" ", "_")
+    (folder() / f"intents_{name}.toml").write_text(INTENTS.replace(right, wrong))
+    with pytest.raises(WiringError, match=re.escape(message)) as refused:
+        played("intents.py", wires=name)
+    assert "intents" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("insert", "message"),
+    [
+        ('role = "link"\ninput = "intents"\noutput = "elsewhere"', "expected 'intents_out'"),
+        ('role = "link"\ninput = "pose"', "carries 'pose' messages"),
+        ('role = "peer"', "has no input port 'intents'"),
+    ],
+)
+def test_a_node_is_only_inserted_where_it_sends_messages_on(insert: str, message: str) -> None:
+    entry = f'[[insert]]\nwire = "agent/{{agent}}/intents"\n{insert}\n'
+    name = f"insert_{abs(hash(insert))}"
+    (folder() / f"intents_{name}.toml").write_text(f"{INTENTS}{entry}")
+    with pytest.raises(WiringError, match=re.escape(message)):
+        played("intents.py", wires=name)
 
 
 def test_links_adversaries_and_metrics_act_on_a_message_type_of_the_users_own() -> None:

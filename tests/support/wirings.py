@@ -14,7 +14,9 @@ from mast_zenoh.wiring.model import Wiring, peer_of
 def options(file: str, **bindings: str) -> NodeOptions:
     """The properties of a shipped node that a wiring depends on."""
     cls = loading.node_class(bundle.ROOT / "nodes" / f"{file}.py")
-    return NodeOptions(cls.role, bindings, cls.inputs, cls.outputs, cls.takes, cls.affects, tuple(cls.fuses))
+    return NodeOptions(
+        cls.role, bindings, cls.inputs, cls.outputs, cls.takes, cls.forwards, cls.affects, tuple(cls.fuses)
+    )
 
 
 def wiring_of(agents: Sequence[str], *more_maps: str, peers: bool = False) -> Wiring:

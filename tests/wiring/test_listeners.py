@@ -79,7 +79,7 @@ def test_a_port_that_a_role_may_lack_is_on_the_wire_of_the_nodes_that_have_it() 
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=node("adversary", "tracks:tracks", agent="infra_1"))
     with pytest.raises(WiringError, match="adversary_2 has no input port 'pose'"):
         maps.resolve([("map.toml", MAP)], nodes)
-    wiring = maps.resolve([("map.toml", MAP)], nodes, {"adversary": ("pose",)})
+    wiring = maps.resolve([("map.toml", MAP)], nodes, {("adversary", "input"): ("pose",)})
     assert [set(wiring.ports(f"adversary_{i}").inputs) for i in (1, 2)] == [{"agent/infra_1/pose"}, set()]
 
 
@@ -164,7 +164,7 @@ def test_a_listener_is_placed_before_the_branches() -> None:
             listen("agent/*/pose", "poses", every="yes"),
             "unknown key 'every'; known: input, leg, node, optional, role, wire",
         ),
-        ({"wire": "agent/*/pose", "role": "adversary"}, "missing input"),
+        ({"wire": "agent/*/pose", "role": "adversary"}, "missing key 'input'"),
         (listen("agent/*/pose", "poses", role=["adversary"]), r"role: found \['adversary'\], expected a string"),
         (listen("agent/*/pose", "poses", node=3), "node: found 3, expected a string"),
         (listen("agent/infra_1/tracks", "tracks"), "adversary_1 publishes or forwards 'agent/infra_1/tracks': it wo"),

@@ -144,7 +144,7 @@ def test_an_inserted_node_subscribes_to_the_tap_and_publishes_on_the_old_key() -
     ("source", "reason"),
     [
         ({"wires": []}, "unknown key 'wires'; did you mean 'wire'"),
-        ({"wire": [{"key": "x"}]}, "missing from, message, to"),
+        ({"wire": [{"key": "x"}]}, "missing keys 'from', 'message', 'to'"),
         ({"wire": [dict(MAP["wire"][0], key="y", message="detection")]}, "did you mean 'detections'"),
         ({"wire": [dict(MAP["wire"][0], key="a//b")]}, "not a valid key expression"),
         ({"wire": [dict(MAP["wire"][0], key="a/*/b")]}, "not a valid key expression"),

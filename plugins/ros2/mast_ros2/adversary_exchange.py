@@ -5,7 +5,7 @@ A row that comes back with the values that were sent keeps its bytes, although R
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,10 +41,11 @@ FRAME = "intercepted"
 class _InTransit:
     """A message in transit.
 
-    body: its columns;  expressed: its objects as they come back if nobody changes them, those that ROS can express
+    type: of the message;  body: its columns
+    expressed: its objects as they come back if nobody changes them, those that ROS can express
     """
 
-    port: str
+    type: str
     body: Body
     expressed: ObjectStates
 
@@ -54,7 +55,7 @@ class _InTransit:
         An object with an id that was sent is that object: what is equal to what was sent keeps its bytes. Objects that
         ROS cannot express stay as they are, and no other one gets their ids.
         """
-        ids = np.arange(len(self.body["score"])) if self.port == "detections" else self.body["id"]
+        ids = np.arange(len(self.body["score"])) if self.type == "detections" else self.body["id"]
         row_of_id = {number: row for row, number in enumerate(ids.tolist())}
         sent = {number: row for row, number in enumerate(self.expressed.id.tolist())}
         hidden_ids = row_of_id.keys() - sent.keys()
@@ -64,8 +65,8 @@ class _InTransit:
         sent_rows = [sent[number] for number in returned.id[known].tolist()]
         rows = np.array([row_of_id[number] for number in returned.id[known].tolist()], int)
         columns, untouched = {}, len(known) == len(returned) and sent_rows == [*range(len(self.expressed))]
-        expressed = _columns(self.port, self.expressed)
-        for name, values in _columns(self.port, returned).items():
+        expressed = _columns(self.type, self.expressed)
+        for name, values in _columns(self.type, returned).items():
             equal = values[known] == expressed[name][sent_rows]
             equal = equal.all(axis=tuple(range(1, equal.ndim)))
             untouched = untouched and bool(equal.all())
@@ -86,14 +87,15 @@ class _InTransit:
 class AdversaryExchange(FrameExchange):
     """The exchange of one adversary.
 
-    name: of its node;  wires: (port, subject) of each, such as ("tracks", "infra_1")
+    name: of its node;  wires: by (port, subject) of each, such as ("tracks", "infra_1"), the type of its messages
 
     What is in transit is sent on /mast/NAME/SUBJECT/PORT/in, and what comes back is received on .../out, both in the
     frame of reference of the wire, which is called `intercepted`. The wire of the picture has no subject.
     """
 
-    def __init__(self, name: str, timing: Timing, wires: Collection[tuple[str, str]]) -> None:
-        self._types = {wire: WIRE_TYPES[wire[0]] for wire in wires}
+    def __init__(self, name: str, timing: Timing, wires: Mapping[tuple[str, str], str]) -> None:
+        self._messages = wires
+        self._types = {wire: WIRE_TYPES[message] for wire, message in wires.items()}
         self._sent: dict[tuple[str, int], _InTransit] = {}  # by topic of the answer, and frame
         self._prefix = topic_prefix(name)
         answers = [
@@ -123,12 +125,12 @@ class AdversaryExchange(FrameExchange):
         if time_ns is None or (topic, frame) in self._sent or wire not in self._types:
             return False
         try:
-            message = _message(wire[0], body, time_ns)
+            message = _message(self._messages[wire], body, time_ns)
             expressed = received_tracks(type_store.decode(message.__msgtype__, type_store.encode(message))).objects
         except (MessageError, ValueError) as error:
             self.refuse(MessageError(f"not sent: {error}"))
             return False
-        self._sent[topic, frame] = _InTransit(wire[0], body, expressed)
+        self._sent[topic, frame] = _InTransit(self._messages[wire], body, expressed)
         for old in [key for key in self._sent if key[1] not in self._times]:
             del self._sent[old]
         self.ask(outside, frame, [topic])
@@ -144,15 +146,15 @@ class AdversaryExchange(FrameExchange):
         return use
 
 
-def _message(port: str, body: Body, time_ns: int) -> RosMessage:
-    if port == "detections":
+def _message(kind: str, body: Body, time_ns: int) -> RosMessage:
+    if kind == "detections":
         return detection_array(states_of(Detections.from_columns(body)), time_ns, FRAME)
     return tracked_objects(ObjectStates.from_columns(body), time_ns, FRAME)
 
 
-def _columns(port: str, states: ObjectStates) -> Columns:
-    """The columns of objects in a message of a port, by name."""
+def _columns(kind: str, states: ObjectStates) -> Columns:
+    """The columns of objects in a message of a type, by name."""
     columns = states.columns()
-    if port != "detections":
+    if kind != "detections":
         return columns
     return {name: columns[name] for name in DETECTION_COLUMNS} | {"covariance": states.covariance[:, :3, :3]}

@@ -32,7 +32,7 @@ from mast_zenoh.config import loading
 from mast_zenoh.config.resolved import build_node
 from mast_zenoh.config.settings import nested
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
-from mast_zenoh.launch.live_interception import node_of, port_of
+from mast_zenoh.launch.live_interception import node_of, ports_of
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body, Header, Message
 from mast_zenoh.node import Node
@@ -74,8 +74,7 @@ class ObjectsInterposer:
     """
 
     def __init__(self, node: Node, agent: str, *, source: str, name: str, seed: int) -> None:
-        port = port_of(type(node), _WIRE, None, source, "input", "the topic")
-        out = port_of(type(node), _WIRE, None, source, "output", "the topic")
+        port, out = ports_of(type(node), _WIRE, _WIRE, None, None, source, "the topic")
         by_key = {_WIRE: Input(port, agent, _WIRE, agent)}
         by_key |= {
             other: Input(other, agent, other, "simulator") for other in ("clock", "pose") if other in node.inputs

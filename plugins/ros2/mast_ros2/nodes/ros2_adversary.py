@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any, Literal
 
-from mast_ros2.adversary_exchange import AdversaryExchange
+from mast_ros2.adversary_exchange import WIRE_TYPES, AdversaryExchange
 from mast_ros2.connection import Connection
 from mast_ros2.frame_exchange import Timing
 from mast_ros2.participant import joined
@@ -32,8 +32,8 @@ class Ros2Adversary(Node):
     """
 
     role = "adversary"
-    inputs = {"clock": "clock", "detections": "detections", "tracks": "tracks", "picture": "picture"}
-    outputs = {"detections_out": "detections", "tracks_out": "tracks", "picture_out": "picture"}
+    inputs = {"clock": "clock"}
+    forwards = tuple(WIRE_TYPES)
 
     def __init__(
         self,
@@ -47,13 +47,14 @@ class Ros2Adversary(Node):
         self.connection = Connection.of(ros2 or {}, "ros2")
         timing = Timing(wait_s, skew_s, stamps, start_s)
         self.make_exchange = lambda name, wires: AdversaryExchange(name, timing, wires)
-        self.exchange = self.make_exchange("adversary", [])
+        self.exchange = self.make_exchange("adversary", {})
         self.waiting: dict[tuple[int, str], Received] = {}  # by frame, and topic of the answer
 
     def outside_topics(self, context: Context) -> OutsideTopics:
         """The topics of what comes back, one for each wire."""
-        wires = {(wire.port, wire.subject) for wire in context.subscriptions.values() if wire.port != "clock"}
-        self.exchange = self.make_exchange(context.name, sorted(wires))
+        inputs = [wire for wire in context.subscriptions.values() if wire.port != "clock"]
+        wires = {(wire.port, wire.subject): wire.message for wire in inputs}
+        self.exchange = self.make_exchange(context.name, dict(sorted(wires.items())))
         return OutsideTopics(partial(joined, self.connection), self.exchange.topics)
 
     def start(self, context: Context) -> None:
@@ -68,25 +69,13 @@ class Ros2Adversary(Node):
             self.give_up(context)
         self.exchange.begin(received.frame, received.time_ns)
 
-    def on_detections(self, received: Received, context: Context) -> None:
-        """Detections, in transit to the agent."""
-        self.intercept("detections", received, context)
-
-    def on_tracks(self, received: Received, context: Context) -> None:
-        """The agent's tracks, in transit to the command centre."""
-        self.intercept("tracks", received, context)
-
-    def on_picture(self, received: Received, context: Context) -> None:
-        """The command centre's picture, in transit to the agent."""
-        self.intercept("picture", received, context)
-
-    def intercept(self, port: str, received: Received, context: Context) -> None:
-        """Send a message to ROS 2; in lock-step, wait for the answer."""
-        wire = (port, received.subject)
+    def on_message(self, received: Received, context: Context) -> None:
+        """Send a message in transit to ROS 2; in lock-step, wait for the answer."""
+        wire = (received.port, received.subject)
         if len(self.waiting) >= MAX_WAITING or not self.exchange.send(
             context.outside, received.frame, wire, received.body
         ):
-            context.relay(f"{port}_out", received)
+            context.relay(f"{received.port}_out", received)
             return
         self.waiting[received.frame, self.exchange.topic(wire, "out")] = received
         self.settle(context, received.frame)
@@ -102,12 +91,12 @@ class Ros2Adversary(Node):
         for topic, about, columns in self.exchange.collect(context.outside, frame):
             received = self.waiting.pop((about.frame, topic), None)
             if received is not None:
-                context.relay(f"{received.schema}_out", received, columns)
+                context.relay(f"{received.port}_out", received, columns)
 
     def give_up(self, context: Context) -> None:
         """Forward what has no answer as it is."""
         for received in self.waiting.values():
-            context.relay(f"{received.schema}_out", received)
+            context.relay(f"{received.port}_out", received)
         self.waiting.clear()
 
     def finish(self, context: Context) -> dict[str, Any]:

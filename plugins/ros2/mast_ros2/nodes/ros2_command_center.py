@@ -18,6 +18,7 @@ from mast_ros2.frame_exchange import Timing
 from mast_ros2.participant import joined
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.metrics.estimates import LOCAL
 from mast_zenoh.node import Context, Node, OutsideTopics, Received
 from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
@@ -68,7 +69,7 @@ class Ros2CommandCenter(Node):
 
     def start(self, context: Context) -> None:
         """Wait for the node of ROS 2."""
-        agents = {wire.subject for wire in context.wiring.wires if wire.legs[0].publisher.port == "tracks"}
+        agents = {wire.subject for wire in context.wiring.wires if wire.traits.estimate == LOCAL}
         if not self.exchange.join(context.outside, agents):
             context.log.warning("no node of ROS 2 publishes on %s: going on without", self.exchange.picture_topic)
 
