@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mast_datasets.rosbag_map import BagMap, parse_map, read_map
-from mast_datasets.rosbag_storage import METADATA, SUFFIXES, Bag, open_bag
+from mast_datasets.rosbag_map import parse_map, read_map
 from mast_datasets.traffic import ABOVE_0, DataSetScene
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes.recording import Recording
 
-#: Name of a map in the folder of a bag.
-MAP = "topics.toml"
-MAP_SUFFIX = ".toml"
+#: What files of the two storages end with.
+SUFFIXES = (".db3", ".mcap")
 
 
 @dataclass(kw_only=True, eq=False)
@@ -35,7 +33,7 @@ class RosBag(DataSetScene):
     """
 
     short_name = "rosbag"
-    files = ((METADATA, "*.db3"), (METADATA, "*.mcap"), (METADATA, "*.zstd"))
+    files = tuple(("metadata.yaml", f"*{suffix}") for suffix in (*SUFFIXES, ".zstd"))
 
     topics: str | dict[str, Any] | None = None
     start_s: float = 0.0
@@ -56,23 +54,29 @@ class RosBag(DataSetScene):
 
     def record(self, seed: int, frames: int | None) -> Recording:
         try:
-            from mast_datasets import rosbag_reading, rosbag_recording
+            from mast_datasets import rosbag_reading, rosbag_recording, rosbag_storage
         except ModuleNotFoundError as error:
-            if (missing := (error.name or "").partition(".")[0]) not in ("mast_ros2", "rosbags"):
+            if (missing := (error.name or "").partition(".")[0]) not in ("mast_ros2", "rosbags", "apsw", "lz4"):
                 raise
             raise ConfigurationError(
                 f"{self.path}: {missing} is not installed, expected pip install 'mast-zenoh[ros2]'"
             ) from None
         path, file = self._files()
-        with open_bag(path, self.max_unpacked_mb) as bag:
-            bag_map = self._map(bag, file)
-            readers = rosbag_reading.read_topics(bag, bag_map)
+        with rosbag_storage.open_bag(path, self.max_unpacked_mb) as bag:
+            place = file or Path(f"{type(self).__name__}.topics")
+            if file is None and not isinstance(self.topics, Mapping):
+                raise ConfigurationError(
+                    f"{self.path}: found no map of its topics, expected {self._usual_map}, or `topics` "
+                    f"(docs/scenes_rosbag.md); the bag has {bag.listed_topics()}"
+                )
+            bag_map = parse_map(self.topics, place) if isinstance(self.topics, Mapping) else read_map(place)
+            readers = rosbag_reading.read_topics(bag, bag_map, place)
         part = rosbag_recording.Part(self.start_s, self.duration_s)
         return rosbag_recording.BagScene(self, path, part, bag_map, readers).recording(seed, frames)
 
     def _files(self) -> tuple[Path, Path | None]:
         """The bag, and the file with the map; None: the map is given, or there is none."""
-        if self.root.suffix == MAP_SUFFIX:
+        if self.root.suffix == ".toml":
             if self.topics is not None:
                 raise ConfigurationError(f"{self.path}: topics are given, expected None: the path is that of a map")
             bag = read_map(self.root).bag
@@ -81,19 +85,8 @@ class RosBag(DataSetScene):
             return self.root.parent / bag, self.root
         if isinstance(self.topics, str):
             return self.root, Path(self.topics)
-        usual = self._usual_map
-        return self.root, usual if self.topics is None and usual.is_file() else None
+        return self.root, self._usual_map if self.topics is None and self._usual_map.is_file() else None
 
     @property
     def _usual_map(self) -> Path:
-        return self.root / MAP if self.root.is_dir() else self.root.with_suffix(MAP_SUFFIX)
-
-    def _map(self, bag: Bag, file: Path | None) -> BagMap:
-        if file is not None:
-            return read_map(file)
-        if isinstance(self.topics, Mapping):
-            return parse_map(self.topics, Path(f"{type(self).__name__}.topics"))
-        raise ConfigurationError(
-            f"{self.path}: found no map of its topics, expected {self._usual_map}, or `topics` "
-            f"(docs/scenes_rosbag.md); the bag has {bag.listed_topics()}"
-        )
+        return self.root / "topics.toml" if self.root.is_dir() else self.root.with_suffix(".toml")

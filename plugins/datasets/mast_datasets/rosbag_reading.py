@@ -6,9 +6,11 @@ import re
 from abc import ABC, abstractmethod
 from array import array
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Generic, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 from mast_ros2 import type_store
@@ -16,11 +18,12 @@ from mast_ros2.object_ids import id_of_text, id_of_uuid
 from mast_ros2.received_objects import ReceivedObjects, received_detections, received_tracks
 from mast_ros2.received_poses import POSES, stamped_poses
 from numpy.typing import NDArray
+from rosbags.interfaces import Connection
 from rosbags.typesys.base import normalize_fieldname
 
 from mast_datasets.rosbag_map import BagMap, DetectionsEntry, Pose, Source, TruthEntry
-from mast_datasets.rosbag_storage import Bag, Topic
-from mast_datasets.rosbag_types import Decode, OwnType, known_decoder, parse_definition
+from mast_datasets.rosbag_storage import Bag
+from mast_datasets.rosbag_types import Decode, Fields, OwnType, known_decoder, parse_definition
 from mast_datasets.traffic import MAX_BOXES
 from mast_zenoh.arrays.geometry import heading, quaternion_from_rotation, rotation_from_quaternion, rotation_from_yaw
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Bools, Detections, Floats, Ints, ObjectStates
@@ -38,6 +41,14 @@ _TYPES_OF_DETECTIONS = (type_store.DETECTIONS, type_store.DETECTED_OBJECTS)
 _TYPES_OF_TRUTH = (type_store.TRACKED_OBJECTS, type_store.DETECTIONS)
 
 
+class PosesAt(NamedTuple):
+    """Poses at n times: position (n, 3) m, rotation (n, 3, 3), and whether they are known (n,)."""
+
+    position: Floats
+    rotation: Floats
+    known: Bools
+
+
 @dataclass(frozen=True, eq=False)
 class PoseTrack:
     """Poses over time: times_ns (K,) ascending, position (K, 3) m and quaternion (K, 4) w x y z, world frame."""
@@ -46,8 +57,8 @@ class PoseTrack:
     position: Floats
     quaternion: Floats
 
-    def at(self, times_ns: Ints, max_gap_ns: int) -> tuple[Floats, Floats, Bools]:
-        """Position (n, 3), rotation (n, 3, 3) at times (n,), and whether they are known (n,).
+    def at(self, times_ns: Ints, max_gap_ns: int) -> PosesAt:
+        """The poses at times (n,).
 
         Between two poses, positions are linear and rotations spherically linear. Nothing is known before the first,
         after the last, and between two that are further apart than `max_gap_ns`.
@@ -59,7 +70,7 @@ class PoseTrack:
         share = np.where(known & (since > 0), since / np.maximum(span, 1), 0.0)[:, None]
         position = (1.0 - share) * self.position[before] + share * self.position[after]
         rotation = rotation_from_quaternion(_slerp(self.quaternion[before], self.quaternion[after], share))
-        return position, rotation, np.asarray(known)
+        return PosesAt(position, rotation, np.asarray(known))
 
 
 def _slerp(first: Floats, second: Floats, share: Floats) -> Floats:
@@ -73,25 +84,31 @@ def _slerp(first: Floats, second: Floats, share: Floats) -> Floats:
     return np.asarray(weights[0] * first + weights[1] * second)
 
 
-class TopicReader(ABC):
+Entry = TypeVar("Entry", bound=Source)
+
+
+class TopicReader(ABC, Generic[Entry]):
     """Collects what one entry of the map wants of the messages of its topic.
 
+    source: the entry;  place: of it in the map, for messages
     count: messages;  remarks: what was left out or changed, in words, and how often
     changes: whether it changes the messages that it reads
     """
 
     changes = False
 
-    def __init__(self, source: Source, frames: Mapping[str, Pose]) -> None:
-        self.source = source
+    def __init__(self, source: Entry, place: str, bag_map: BagMap) -> None:
+        self.source, self.place = source, place
         self.count = 0
         self.remarks: Counter[str] = Counter()
-        self._frames = frames
+        self._frames: Mapping[str, Pose] = bag_map.frames
+        self._is_received = (source.time or bag_map.time) == "received"
+        self._offset_ns = round(source.offset_s * 1e9)
         self._frame_id = ""
 
     @abstractmethod
-    def decoder(self, place: str, topic: Topic, types: Mapping[str, Any]) -> Decode:
-        """How the messages of the topic are decoded. place: of the bag; types: those that the map defines
+    def decoder(self, bag: str, connection: Connection, types: Fields) -> Decode:
+        """How the messages of the topic are decoded. types: those that the map defines
 
         Raises ConfigurationError for a type that is of no use here.
         """
@@ -113,6 +130,9 @@ class TopicReader(ABC):
     def _read(self, message: Any, received_ns: int) -> None:
         """Read a message. Raises MessageError if it cannot be used."""
 
+    def _fail(self, reason: str, part: str = "") -> NoReturn:
+        raise ConfigurationError(f"{self.place}{part}: {self.source.topic}: {reason}")
+
     def _leave_out(self, reason: str, number: int = 1) -> None:
         self._remark(f"left out: {reason:.160}", number)
 
@@ -120,94 +140,86 @@ class TopicReader(ABC):
         known = remark in self.remarks or len(self.remarks) < _MAX_REMARKS
         self.remarks[remark if known else "left out for other reasons"] += number
 
-    def _count_unclassified(self, number: int) -> None:
-        if number:
-            self._remark("a class that none of ours is, now unknown", number)
+    def _count_left_out(self, received: Any) -> None:
+        """Count what cannot be used of a message, and classes that are not ours."""
+        for reason, number in received.dropped.items():
+            self._leave_out(reason, number)
+        if getattr(received, "unclassified", 0):
+            self._remark("a class that none of ours is, now unknown", received.unclassified)
 
     def _time(self, header_ns: int, received_ns: int) -> int:
         """The time, ns, that counts. Raises MessageError for one whose differences from others overflow."""
-        time_ns = (received_ns if self.source.received else header_ns) + self.source.offset_ns
+        time_ns = (received_ns if self._is_received else header_ns) + self._offset_ns
         if abs(time_ns) > _MAX_NS:
             raise MessageError(f"a time further than {_MAX_NS} ns from 1970")
         return time_ns
 
-    def _check_type(self, topic: Topic, known: Sequence[str], hint: str = "") -> None:
-        if topic.type not in known:
-            raise ConfigurationError(
-                f"{self.source.place}: {topic.name} is of the type {topic.type!r:.120}, "
-                f"expected {', '.join(known)}{nearest(topic.type, known)}{hint}"
-            )
+    def _check_type(self, connection: Connection, known: Sequence[str], hint: str = "") -> None:
+        found = connection.msgtype
+        if found not in known:
+            self._fail(f"the type is {found!r:.120}, expected {', '.join(known)}{nearest(found, known)}{hint}")
 
     def _check_frame(self, frame_id: str) -> None:
         """Raise ConfigurationError unless all messages are in one frame, which is in the world as the map says."""
         if frame_id == self._frame_id:
             return
         if self._frame_id:
-            expected = f"{self._frame_id!r} as in the messages before"
-            raise ConfigurationError(
-                f"{self.source.place}: {self.source.topic}: found the frame {frame_id!r:.80}, expected {expected}"
-            )
+            self._fail(f"found the frame {frame_id!r:.80}, expected {self._frame_id!r} as in the messages before")
         if self.source.origin is None and frame_id not in self._frames:
             known = ", ".join(self._frames) or "none"
-            raise ConfigurationError(
-                f"{self.source.place}: {self.source.topic} is in the frame {frame_id!r:.80}, expected one of `frames` "
-                f"of the map ({known}), or `origin`, where it is in the world{nearest(frame_id, self._frames)}"
+            self._fail(
+                f"is in the frame {frame_id!r:.80}, expected one of `frames` of the map ({known}), or `origin`, where "
+                f"it is in the world{nearest(frame_id, self._frames)}"
             )
         self._frame_id = frame_id
 
     def _origin(self) -> Pose:
-        origin = self.source.origin
-        return self._frames[self._frame_id] if origin is None else origin
+        return self.source.origin or self._frames[self._frame_id]
 
 
-class PoseReader(TopicReader):
+class PoseReader(TopicReader[Source]):
     """The poses of an agent or an object."""
 
-    def __init__(self, source: Source, frames: Mapping[str, Pose]) -> None:
-        super().__init__(source, frames)
-        self._links = {child: _Link(array("q"), array("d")) for child in source.chain or ("",)}
+    def __init__(self, source: Source, place: str, bag_map: BagMap) -> None:
+        super().__init__(source, place, bag_map)
+        #: Poses of each frame in the one above it: ns of each, and x y z w x y z of each.
+        self._links = {child: (array("q"), array("d")) for child in source.chain or ("",)}
         self._parents = dict(zip(source.chain[1:], source.chain, strict=False))
 
-    def decoder(self, place: str, topic: Topic, types: Mapping[str, Any]) -> Decode:
-        self._check_type(topic, POSES)
-        has_children = topic.type in POSES[1:2] + POSES[4:]
+    def decoder(self, bag: str, connection: Connection, types: Fields) -> Decode:
+        self._check_type(connection, POSES)
+        has_children = connection.msgtype in POSES[1:2] + POSES[4:]
         if has_children != bool(self.source.chain):
             expected = "`child`, the frame whose pose is wanted" if has_children else "no `child`"
-            raise ConfigurationError(
-                f"{self.source.place}: {topic.name} is of the type {topic.type}, expected {expected}"
-            )
-        return known_decoder(place, topic)
+            self._fail(f"the type is {connection.msgtype}, expected {expected}")
+        return known_decoder(bag, connection)
 
     @property
     def used(self) -> int:
-        return min(len(link.times) for link in self._links.values())
+        return min(len(times) for times, _ in self._links.values())
 
     def _read(self, message: Any, received_ns: int) -> None:
         received = stamped_poses(message)
-        for reason, number in received.dropped.items():
-            self._leave_out(reason, number)
+        self._count_left_out(received)
         for each in received.transforms:
             child = each.child if self.source.chain else ""
-            link = self._links.get(child)
-            if link is None:
+            if child not in self._links:
                 continue
+            times, values = self._links[child]
             expected = self._parents.get(child)
             if expected is None:
                 self._check_frame(each.parent)
             elif each.parent != expected:
-                raise ConfigurationError(
-                    f"{self.source.place}.child: {self.source.topic}: {child!r} is in the frame {each.parent!r:.80}, "
-                    f"expected {expected!r}"
-                )
-            link.times.append(self._time(each.time_ns, received_ns))
-            link.values.extend((*each.position.tolist(), *each.rotation.tolist()))
+                self._fail(f"{child!r} is in the frame {each.parent!r:.80}, expected {expected!r}", ".child")
+            times.append(self._time(each.time_ns, received_ns))
+            values.extend((*each.position.tolist(), *each.rotation.tolist()))
 
     def track(self, max_gap_ns: int) -> PoseTrack:
         """All poses in the world, at the times of the last frame of a chain; of several at one time, the first.
 
         max_gap_ns: of the other frames of a chain, the longest time between two poses that is bridged
         """
-        *above, last = (self._track_of(link) for link in self._links.values())
+        *above, last = (self._track_of(*link) for link in self._links.values())
         times, position, rotation = last.times_ns, last.position, rotation_from_quaternion(last.quaternion)
         known = np.ones(len(times), bool)
         for track in reversed(above):
@@ -217,24 +229,17 @@ class PoseReader(TopicReader):
         if not known.all():
             self._leave_out("a pose without one of a frame above it in the chain", int((~known).sum()))
             if not known.any():
-                raise SceneError(f"{self.source.place}: {self.source.topic}: found no time with all frames of `child`")
+                raise SceneError(f"{self.place}: {self.source.topic}: found no time with all frames of `child`")
         world = self._origin()
-        position, rotation = position[known] @ world.rotation.T + world.position, world.rotation @ rotation[known]
+        position, rotation = position[known] @ world.rotation.T + world.origin, world.rotation @ rotation[known]
         return PoseTrack(times[known], position, quaternion_from_rotation(rotation))
 
-    def _track_of(self, link: _Link) -> PoseTrack:
-        times, first = np.unique(np.frombuffer(link.times, np.int64), return_index=True)
-        if len(first) < len(link.times):
-            self._leave_out("a pose at the time of another one", len(link.times) - len(first))
-        values = np.frombuffer(link.values, np.float64).reshape(-1, 7)[first]
-        return PoseTrack(times, values[:, :3], values[:, 3:])
-
-
-class _Link(NamedTuple):
-    """Poses of a frame in the one above it: ns of each, and x y z w x y z of each."""
-
-    times: array[int]
-    values: array[float]
+    def _track_of(self, listed: array[int], values: array[float]) -> PoseTrack:
+        times, first = np.unique(np.frombuffer(listed, np.int64), return_index=True)
+        if len(first) < len(listed):
+            self._leave_out("a pose at the time of another one", len(listed) - len(first))
+        poses = np.frombuffer(values, np.float64).reshape(-1, 7)[first]
+        return PoseTrack(times, poses[:, :3], poses[:, 3:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,62 +264,47 @@ class Measured:
         return self.detections.select(slice(first, first + int(self.count[measurement])))
 
 
-class DetectionReader(TopicReader):
+class DetectionReader(TopicReader[DetectionsEntry]):
     """The detections of a sensor."""
 
     changes = True
 
-    def __init__(self, entry: DetectionsEntry, source: Source, frames: Mapping[str, Pose]) -> None:
-        super().__init__(source, frames)
-        self._entry = entry
+    def __init__(self, source: DetectionsEntry, place: str, bag_map: BagMap) -> None:
+        super().__init__(source, place, bag_map)
+        self._paths = source.fields.steps if source.fields else {}
         self._times, self._counts, self._values = array("q"), array("q"), array("d")
-        self._fixed = frames.get(entry.frame)
 
-    def decoder(self, place: str, topic: Topic, types: Mapping[str, Any]) -> Decode:
-        if self._entry.paths:
-            own = OwnType(place, topic, types)
+    def decoder(self, bag: str, connection: Connection, types: Fields) -> Decode:
+        if self._paths:
+            own = OwnType(bag, connection, types)
             try:
-                element = own.element_of(self._entry.paths["list"])
-                for name, path in self._entry.paths.items():
-                    if name != "list":
-                        own.check_path(element, path)
+                own.check_paths(self._paths)
             except ValueError as error:
-                raise ConfigurationError(f"{self.source.place}.fields: {topic.name}: {error}") from None
+                self._fail(str(error), ".fields")
             return own.decode
-        self._check_type(topic, _TYPES_OF_DETECTIONS, "; `fields` reads other types")
-        if topic.type == type_store.DETECTED_OBJECTS:
-            for name, given in (
-                ("axes", self._entry.axes is not None),
-                ("size", self._entry.size is not None),
-                ("classes", bool(self._entry.classes)),
-            ):
-                if given:
-                    raise ConfigurationError(f"{self.source.place}: {topic.type} has no use for `{name}`")
-        return known_decoder(place, topic)
+        self._check_type(connection, _TYPES_OF_DETECTIONS, "; `fields` reads other types")
+        for name in ("axes", "size", "classes") if connection.msgtype == type_store.DETECTED_OBJECTS else ():
+            if getattr(self.source, name):
+                self._fail(f"{connection.msgtype} has no use for `{name}`")
+        return known_decoder(bag, connection)
 
     @property
     def used(self) -> int:
         return len(self._times)
 
     def _read(self, message: Any, received_ns: int) -> None:
-        entry = self._entry
-        if entry.paths:
+        if self._paths:
             message = self._converted(message)
         if message.__msgtype__ == type_store.DETECTIONS:
-            _change(message, entry)
+            _change(message, self.source)
         received = received_detections(message)
-        if received.frame_id != entry.frame:
-            raise ConfigurationError(
-                f"{self.source.place}.frame: {self.source.topic} is in the frame {received.frame_id!r:.80}, "
-                f"expected {entry.frame!r}"
-            )
-        for reason, number in received.dropped.items():
-            self._leave_out(reason, number)
-        self._count_unclassified(received.unclassified)
+        if received.frame_id != self.source.frame:
+            self._fail(f"is in the frame {received.frame_id!r:.80}, expected {self.source.frame!r}", ".frame")
+        self._count_left_out(received)
         found = received.objects
-        near = np.linalg.norm(found.position, axis=1) < entry.nearest_m
+        near = np.linalg.norm(found.position, axis=1) < self.source.nearest_m
         if near.any():
-            self._leave_out(f"nearer than nearest_m, {entry.nearest_m:g} m", int(near.sum()))
+            self._leave_out(f"nearer than nearest_m, {self.source.nearest_m:g} m", int(near.sum()))
             found = found.select(np.flatnonzero(~near))
         if len(self._values) > MAX_BOXES * _DETECTION:
             raise SceneError(f"{self.source.topic}: found more than {MAX_BOXES} detections, expected at most as many")
@@ -324,47 +314,39 @@ class DetectionReader(TopicReader):
             self._values.extend(np.hstack([np.ravel(column) for column in columns]).tolist())
 
     def _converted(self, message: Any) -> Any:
-        """A Detection3DArray of a message of another type."""
-        paths = self._entry.paths
-        listed = _value(message, paths["list"])
-        if not isinstance(listed, list):
-            raise MessageError(f"{'.'.join(map(str, paths['list']))} is no list")
-        if len(listed) > _MAX_DETECTED:
-            raise MessageError(f"found {len(listed)} detections, expected at most {_MAX_DETECTED}")
-        s, ns, frame_id = (
-            _value(message, ("header", *path)) for path in (("stamp", "sec"), ("stamp", "nanosec"), ("frame_id",))
-        )
-        if not isinstance(s, int) or not isinstance(ns, int) or not isinstance(frame_id, str):
-            raise MessageError("header: found another type, expected std_msgs/msg/Header")
-        header = _TYPE["std_msgs/msg/Header"](_TYPE["builtin_interfaces/msg/Time"](s, ns), frame_id)
-        detections = []
+        """What has the fields of a Detection3DArray, of a message of another type."""
+        listed = _value(message, self._paths["list"])
+        if not isinstance(listed, list) or len(listed) > _MAX_DETECTED:
+            raise MessageError(f"list: found no list of at most {_MAX_DETECTED} detections")
+        header, detections = _value(message, ("header",)), []
+        for step, kind in (("stamp.sec", int), ("stamp.nanosec", int), ("frame_id", str)):
+            if not isinstance(_value(header, step.split(".")), kind):
+                raise MessageError("header: found another type, expected std_msgs/msg/Header")
         for each in listed:
             try:
-                detections.append(self._detection(each, paths))
+                detections.append(self._detection(each))
             except MessageError as error:
                 self._leave_out(str(error))
-        return _TYPE[type_store.DETECTIONS](header, detections)
+        return SimpleNamespace(__msgtype__=type_store.DETECTIONS, header=header, detections=detections)
 
-    def _detection(self, each: Any, paths: Mapping[str, tuple[str | int, ...]]) -> Any:
-        x, y, z = _numbers(_value(each, paths["position"]), "xyz")
-        turn = _numbers(_value(each, paths["orientation"]), "xyzw") if "orientation" in paths else (0.0, 0.0, 0.0, 1.0)
-        size = _numbers(_value(each, paths["size"]), "xyz") if "size" in paths else (1.0, 1.0, 1.0)
+    def _detection(self, each: Any) -> SimpleNamespace:
+        found = {
+            name: _numbers(_value(each, self._paths[name]) if name in self._paths else usual, axes)
+            for name, axes, usual in _PARTS
+        }
         results = []
-        if "score" in paths or "class" in paths:
-            try:
-                score = float(_value(each, paths["score"])) if "score" in paths else 1.0
-                name = str(_value(each, paths["class"])) if "class" in paths else "unknown"
-                results = [_result(name, score)]
-            except (TypeError, ValueError):
-                raise MessageError("score: no number") from None
-            except MessageError:
-                results = []  # of an empty list of hypotheses
-        centre = _TYPE["geometry_msgs/msg/Pose"](
-            _TYPE["geometry_msgs/msg/Point"](x, y, z), _TYPE["geometry_msgs/msg/Quaternion"](*turn)
-        )
-        box = _TYPE["vision_msgs/msg/BoundingBox3D"](centre, _TYPE["geometry_msgs/msg/Vector3"](*size))
-        header = _TYPE["std_msgs/msg/Header"](_TYPE["builtin_interfaces/msg/Time"](0, 0), "")
-        return _TYPE["vision_msgs/msg/Detection3D"](header, results, box, "")
+        try:
+            score, kind = (_value(each, self._paths[n]) if n in self._paths else None for n in ("score", "kind"))
+            hypothesis = SimpleNamespace(
+                class_id="unknown" if kind is None else str(kind), score=1.0 if score is None else float(score)
+            )
+            results = [SimpleNamespace(hypothesis=hypothesis, pose=SimpleNamespace(covariance=np.zeros(36)))]
+        except (TypeError, ValueError):
+            raise MessageError("score: no number") from None
+        except MessageError:  # of an empty list of hypotheses
+            pass
+        centre = SimpleNamespace(position=found["position"], orientation=found["orientation"])
+        return SimpleNamespace(results=results, bbox=SimpleNamespace(center=centre, size=found["size"]), id="")
 
     def measured(self) -> Measured:
         """All measurements, by time."""
@@ -375,19 +357,15 @@ class DetectionReader(TopicReader):
         detections = Detections(
             position, size, yaw[:, 0], score[:, 0], class_id[:, 0].astype(np.uint8), covariance.reshape(-1, 3, 3)
         )
-        return Measured(times[order], first[order], count[order], detections, self._fixed)
+        return Measured(times[order], first[order], count[order], detections, self._frames.get(self.source.frame))
 
 
-_TYPE: Mapping[str, Callable[..., Any]] = type_store.TYPES
-
-
-def _result(name: str, score: float) -> Any:
-    pose = _TYPE["geometry_msgs/msg/Pose"](
-        _TYPE["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), _TYPE["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    )
-    with_covariance = _TYPE["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36))
-    hypothesis = _TYPE["vision_msgs/msg/ObjectHypothesis"](name, score)
-    return _TYPE["vision_msgs/msg/ObjectHypothesisWithPose"](hypothesis, with_covariance)
+#: Parts of a detection, names of their numbers, and the usual ones.
+_PARTS = (
+    ("position", "xyz", ()),
+    ("orientation", "xyzw", (0.0, 0.0, 0.0, 1.0)),
+    ("size", "xyz", (1.0, 1.0, 1.0)),
+)
 
 
 def _value(whole: Any, path: Sequence[str | int]) -> Any:
@@ -400,37 +378,34 @@ def _value(whole: Any, path: Sequence[str | int]) -> Any:
     return whole
 
 
-def _numbers(whole: Any, names: str) -> list[float]:
+def _numbers(whole: Any, names: str) -> SimpleNamespace:
     """The values of x, y, z and so on, or those of a list as long."""
-    values = [_value(whole, (name,)) for name in names] if hasattr(whole, "__msgtype__") else whole
     try:
-        numbers = [float(value) for value in values]
+        values = [_value(whole, (name,)) for name in names] if hasattr(whole, "__msgtype__") else whole
+        return SimpleNamespace(**dict(zip(names, map(float, values), strict=True)))
     except (TypeError, ValueError):
-        numbers = []
-    if len(numbers) != len(names):
-        raise MessageError(f"found no {', '.join(names)}")
-    return numbers
+        raise MessageError(f"found no {', '.join(names)}") from None
 
 
 def _change(message: Any, entry: DetectionsEntry) -> None:
     """Give the detections of a Detection3DArray our axes, the size that the map says, and our classes."""
+    axes = entry.matrix
     for each in message.detections:
+        box, point, size, turn = each.bbox, each.bbox.center.position, each.bbox.size, each.bbox.center.orientation
         for result in each.results:
             name = result.hypothesis.class_id
             result.hypothesis.class_id = entry.classes.get(name, name)
-        box = each.bbox
-        if entry.axes is not None:
-            point, size, turn = box.center.position, box.size, box.center.orientation
+        if axes is not None:
             turn.x, turn.y, turn.z, turn.w = 0.0, 0.0, 0.0, 1.0
             with np.errstate(all="ignore"):  # values may be anything
-                point.x, point.y, point.z = (entry.axes @ (point.x, point.y, point.z)).tolist()
-                size.x, size.y, size.z = (np.abs(entry.axes) @ (size.x, size.y, size.z)).tolist()
+                point.x, point.y, point.z = (axes @ (point.x, point.y, point.z)).tolist()
+                size.x, size.y, size.z = (np.abs(axes) @ (size.x, size.y, size.z)).tolist()
                 for result in each.results:
                     covariance = result.pose.covariance.reshape(6, 6).copy()
-                    covariance[:3, :3] = entry.axes @ covariance[:3, :3] @ entry.axes.T
+                    covariance[:3, :3] = axes @ covariance[:3, :3] @ axes.T
                     result.pose.covariance = covariance.ravel()
         if entry.size is not None:
-            box.size.x, box.size.y, box.size.z = entry.size.tolist()
+            box.size.x, box.size.y, box.size.z = entry.size
 
 
 @dataclass(frozen=True, eq=False)
@@ -442,25 +417,27 @@ class TrueObject:
     class_id: NDArray[np.uint8]
 
 
-class ObjectReader(TopicReader):
+class ObjectReader(TopicReader[TruthEntry]):
     """The objects of a topic with lists of the truth."""
 
-    def __init__(self, entry: TruthEntry, frames: Mapping[str, Pose]) -> None:
-        super().__init__(entry.source, frames)
-        self._without_names, self._without = entry.without, frozenset[int]()
+    def __init__(self, source: TruthEntry, place: str, bag_map: BagMap) -> None:
+        super().__init__(source, place, bag_map)
+        self._without: frozenset[int] = frozenset()
         self._ids, self._times, self._values = array("q"), array("q"), array("d")
 
-    def decoder(self, place: str, topic: Topic, types: Mapping[str, Any]) -> Decode:
-        hint = "; an object with a pose needs `size` and `class`" if topic.type in POSES else ""
-        self._check_type(topic, _TYPES_OF_TRUTH, hint)
+    def decoder(self, bag: str, connection: Connection, types: Fields) -> Decode:
+        hint = "; an object with a pose needs `size` and `class`" if connection.msgtype in POSES else ""
+        self._check_type(connection, _TYPES_OF_TRUTH, hint)
         if self.source.chain:
-            raise ConfigurationError(f"{self.source.place}: {topic.type} has no use for `child`")
-        is_uuid = _UUID.fullmatch if topic.type == type_store.TRACKED_OBJECTS else lambda _: None
+            self._fail(f"{connection.msgtype} has no use for `child`")
+        has_uuids = connection.msgtype == type_store.TRACKED_OBJECTS
         self._without = frozenset(
-            id_of_uuid(bytes.fromhex(name.replace("-", ""))) if is_uuid(name) else id_of_text(name)
-            for name in self._without_names
+            id_of_uuid(bytes.fromhex(name.replace("-", "")))
+            if has_uuids and _UUID.fullmatch(name)
+            else id_of_text(name)
+            for name in map(str, self.source.without)
         )
-        return known_decoder(place, topic)
+        return known_decoder(bag, connection)
 
     @property
     def used(self) -> int:
@@ -477,22 +454,18 @@ class ObjectReader(TopicReader):
             if "" in texts:
                 raise MessageError("a detection has no id: without ids, no object can be followed over time")
             ids = np.array([id_of_text(text) for text in texts], np.int64)
-        for reason, number in received.dropped.items():
-            self._leave_out(reason, number)
-        self._count_unclassified(received.unclassified)
+        self._count_left_out(received)
         found = received.objects
         self._check_frame(received.frame_id)
-        time = self._time(received.time_ns, received_ns)
-        origin = self._origin()
-        position = found.position @ origin.rotation.T + origin.position
+        time, origin = self._time(received.time_ns, received_ns), self._origin()
+        position = found.position @ origin.rotation.T + origin.origin
         yaw = found.yaw + float(heading(origin.rotation))
         for row, number in enumerate(ids.tolist()):
-            if number in self._without:
-                continue
-            self._ids.append(number)
-            self._times.append(time)
-            values = (*position[row].tolist(), yaw[row], *found.size[row].tolist(), float(found.class_id[row]))
-            self._values.extend(values)
+            if number not in self._without:
+                self._ids.append(number)
+                self._times.append(time)
+                values = (*position[row].tolist(), yaw[row], *found.size[row].tolist(), float(found.class_id[row]))
+                self._values.extend(values)
         if len(self._ids) > MAX_BOXES:
             raise SceneError(f"{self.source.topic}: found more than {MAX_BOXES} objects, expected at most as many")
 
@@ -517,52 +490,45 @@ class ObjectReader(TopicReader):
         return found
 
 
-def read_topics(bag: Bag, bag_map: BagMap) -> dict[str, TopicReader]:
-    """Read all mapped topics once; the readers by the place of their source in the map.
+def _reader(source: Source, place: str, bag_map: BagMap) -> TopicReader[Any]:
+    if isinstance(source, DetectionsEntry):
+        return DetectionReader(source, place, bag_map)
+    if isinstance(source, TruthEntry) and source.body is None:
+        return ObjectReader(source, place, bag_map)
+    return PoseReader(source, place, bag_map)
+
+
+def read_topics(bag: Bag, bag_map: BagMap, path: Path) -> dict[Source, TopicReader[Any]]:
+    """Read all mapped topics once; the readers by their sources in the map. path: of the map
 
     Raises ConfigurationError for a topic that the bag does not have or whose type is of no use, and SceneError with the
     file for messages that cannot be decoded, and for a topic without any that can be used.
     """
-    readers: dict[str, TopicReader] = {}
-    for agent in bag_map.agents:
-        if isinstance(agent.pose, Source):
-            readers[agent.pose.place] = PoseReader(agent.pose, bag_map.frames)
-        for entry in agent.sensors:
-            if entry.source is not None:
-                readers[entry.source.place] = DetectionReader(entry, entry.source, bag_map.frames)
-    for truth in bag_map.truth:
-        is_list = truth.body is None
-        readers[truth.source.place] = (
-            ObjectReader(truth, bag_map.frames) if is_list else PoseReader(truth.source, bag_map.frames)
-        )
+    readers = {source: _reader(source, f"{path}: {place}", bag_map) for source, place in bag_map.sources().items()}
+    types: Fields = {}
     try:
-        types = {name: parse_definition(name, text) for name, text in bag_map.types.items()}
+        for name, text in bag_map.types.items():
+            types |= parse_definition(name, text)
     except ValueError as error:
-        raise ConfigurationError(f"{bag_map.place}: types: {error}") from None
-    wanted = bag_map.topics()
-    of_topic: dict[str, list[tuple[Decode, list[TopicReader]]]] = {}
-    last: dict[str, Topic] = {}
-    for number, (topic, received_ns, payload) in enumerate(bag.messages(wanted)):
-        if last.get(topic.name) != topic:
-            if topic.name in last and last[topic.name].type != topic.type:
-                raise SceneError(
-                    f"{bag.path}: {topic.name} has messages of {last[topic.name].type!r} and {topic.type!r}"
-                )
-            own = [reader for reader in readers.values() if reader.source.topic == topic.name]
-            decoders = [reader.decoder(str(bag.path), topic, types) for reader in own]
+        raise ConfigurationError(f"{path}: types: {error}") from None
+    of_topic: dict[tuple[str, Any], list[tuple[Decode, list[TopicReader[Any]]]]] = {}
+    for number, (connection, received_ns, payload) in enumerate(bag.messages({each.topic for each in readers})):
+        key = connection.topic, (connection.msgtype, connection.msgdef, connection.digest)
+        if key not in of_topic:
+            own = [reader for reader in readers.values() if reader.source.topic == connection.topic]
+            decoders = [reader.decoder(str(bag.path), connection, types) for reader in own]
             # Readers of detections change messages; all others share one, for many agents may be on /tf.
-            alone = [(decode, [reader]) for decode, reader in zip(decoders, own, strict=True) if reader.changes]
+            of_topic[key] = [(decode, [reader]) for decode, reader in zip(decoders, own, strict=True) if reader.changes]
             sharing = [reader for reader in own if not reader.changes]
-            of_topic[topic.name] = alone + ([(decoders[own.index(sharing[0])], sharing)] if sharing else [])
-            last[topic.name] = topic
+            of_topic[key] += [(decoders[own.index(sharing[0])], sharing)] if sharing else []
         if number >= MAX_MESSAGES:
             raise SceneError(f"{bag.path}: found more than {MAX_MESSAGES} messages of mapped topics")
-        for decode, of_decoder in of_topic[topic.name]:
+        for decode, of_decoder in of_topic[key]:
             try:
                 message = decode(payload)
             except MessageError as error:
                 raise SceneError(
-                    f"{bag.path}: {topic.name}: message {of_decoder[0].count}, received at {received_ns} ns, "
+                    f"{bag.path}: {connection.topic}: message {of_decoder[0].count}, received at {received_ns} ns, "
                     f"cannot be read: {error}"
                 ) from None
             for reader in of_decoder:
@@ -572,21 +538,18 @@ def read_topics(bag: Bag, bag_map: BagMap) -> dict[str, TopicReader]:
     return readers
 
 
-def _check_used(bag: Bag, reader: TopicReader) -> None:
+def _check_used(bag: Bag, reader: TopicReader[Any]) -> None:
     """Raise ConfigurationError if the topic is not in the bag, and SceneError if nothing in it can be used."""
-    source = reader.source
+    topic, chain = reader.source.topic, reader.source.chain
     if not reader.count:
         topics = bag.topics()
-        if source.topic in topics:
-            raise SceneError(f"{bag.path}: {source.topic} has no messages ({source.place})")
+        if topic in topics:
+            raise SceneError(f"{bag.path}: {topic} has no messages ({reader.place})")
         raise ConfigurationError(
-            f"{source.place}: no topic {source.topic!r} in {bag.path}{nearest(source.topic, topics)}; the bag has "
+            f"{reader.place}: no topic {topic!r} in {bag.path}{nearest(topic, topics)}; the bag has "
             f"{bag.listed_topics()}"
         )
     if not reader.used:
-        child = f"none for each of {', '.join(source.chain)}" if source.chain else "none that can be used"
-        reasons = "; ".join(f"{remark}: {number}" for remark, number in reader.remarks.most_common(3))
-        raise SceneError(
-            f"{bag.path}: {source.topic}: found {reader.count} messages, {child} ({source.place})"
-            + (f"; {reasons}" if reasons else "")
-        )
+        child = f"none for each of {', '.join(chain)}" if chain else "none that can be used"
+        reasons = "".join(f"; {remark}: {number}" for remark, number in reader.remarks.most_common(3))
+        raise SceneError(f"{bag.path}: {topic}: found {reader.count} messages, {child} ({reader.place}){reasons}")

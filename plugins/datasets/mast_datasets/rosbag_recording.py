@@ -5,23 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mast_datasets.rosbag_map import AgentEntry, BagMap, Body, Pose
+from mast_datasets.rosbag_map import AgentEntry, BagMap, Body, Source
 from mast_datasets.rosbag_reading import (
     DetectionReader,
     Measured,
     ObjectReader,
     PoseReader,
+    PosesAt,
     PoseTrack,
     TopicReader,
     TrueObject,
 )
 from mast_datasets.traffic import MAX_BOXES, DataSetScene
 from mast_zenoh.arrays.geometry import heading, to_world, wrap_angle
-from mast_zenoh.arrays.states import Bools, Detections, Floats, Ints
+from mast_zenoh.arrays.states import CLASS_INDEX, Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.making.sensor_types import SensorSchedule
@@ -31,15 +32,6 @@ from mast_zenoh.sensing import Camera, LidarSensor, sensor_pose, to_sensor
 _MAX_FRAMES = 200_000
 _LEVEL = 1e-3  # cosine of the tilt of a sensor that looks straight down or up: yaws about its axis say nothing
 _CAMERA = Camera(mount_position=np.zeros(3))
-
-
-@dataclass(frozen=True, eq=False)
-class _Poses:
-    """Poses at n times, as `PoseTrack.at` gives them: position (n, 3), rotation (n, 3, 3), known (n,)."""
-
-    position: Floats
-    rotation: Floats
-    known: Bools
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,46 +59,41 @@ class BagScene:
     """
 
     def __init__(
-        self, scene: DataSetScene, path: Path, part: Part, bag_map: BagMap, readers: Mapping[str, TopicReader]
+        self, scene: DataSetScene, path: Path, part: Part, bag_map: BagMap, readers: Mapping[Source, TopicReader[Any]]
     ) -> None:
         self._path, self._detector, self._map = path, scene.detector, bag_map
-        self.notes: list[str] = []
-        self._tracks: dict[str, PoseTrack] = {}
-        self._measured: dict[str, Measured] = {}
-        self._lists: dict[str, list[TrueObject]] = {}
-        for place, reader in readers.items():
+        self._tracks: dict[Source, PoseTrack] = {}
+        self._measured: dict[Source, Measured] = {}
+        self._lists: dict[Source, list[TrueObject]] = {}
+        notes: dict[str, None] = {}  # one of a topic that several agents are on
+        for source, reader in readers.items():
             if isinstance(reader, PoseReader):
-                self._tracks[place] = reader.track(bag_map.max_gap_ns)
+                self._tracks[source] = reader.track(bag_map.max_gap_ns)
             elif isinstance(reader, DetectionReader):
-                self._measured[place] = reader.measured()
+                self._measured[source] = reader.measured()
             elif isinstance(reader, ObjectReader):
-                self._lists[place] = reader.objects()
-            for remark, number in sorted(reader.remarks.items()):
-                note = f"{reader.source.topic}: {remark}: {number} in {reader.count} messages"
-                if note not in self.notes:  # of a topic that several agents are on
-                    self.notes.append(note)
-        ego, *others = bag_map.agents
-        moving = [ego, *(agent for agent in others if not agent.fixed)]
-        playing = scene.playing(moving, [agent for agent in others if agent.fixed], "agents that never move")
-        names = {agent.name for agents in playing for agent in agents}
-        self._agents = [agent for agent in bag_map.agents if agent.name in names]
+                self._lists[source] = reader.objects()
+            remarks = sorted(reader.remarks.items())
+            notes |= {f"{source.topic}: {remark}: {n} in {reader.count} messages": None for remark, n in remarks}
+        self.notes = list(notes)
+        agents: dict[str, AgentEntry] = bag_map.agents
+        ego, *others = agents
+        moving = [ego, *(name for name in others if not agents[name].fixed)]
+        playing = scene.playing(moving, [name for name in others if agents[name].fixed], "agents that never move")
+        self._agents = {name: agent for name, agent in agents.items() if any(name in names for names in playing)}
         self._times_ns = self._frames(part)
 
     def recording(self, seed: int, frames: int | None) -> Recording:
         """The recording of the first `frames` frames; None: of all. seed: of generated detections"""
         boxes, own_ids = self._boxes()
-        paths = [self._agent_path(agent, own_ids.get(agent.name, -1)) for agent in self._agents]
+        paths = [self._agent_path(name, agent, own_ids.get(name, -1)) for name, agent in self._agents.items()]
         generated = assemble(self._path.name, self._times_ns, boxes, paths, self._detector, seed=seed, frames=frames)
-        recording = self._with_detections(generated)
-        return replace(recording, notes=tuple(self.notes))
+        return replace(self._with_detections(generated), notes=tuple(self.notes))
 
     def _frames(self, part: Part) -> Ints:
         """(F,) ns, the times of the frames of a part of the time in which all agents of the map have a pose."""
-        moving = {
-            agent.name: self._tracks[agent.pose.place].times_ns
-            for agent in self._map.agents
-            if not isinstance(agent.pose, Pose)
-        }
+        agents = self._map.agents.items()
+        moving = {name: self._tracks[agent.pose].times_ns for name, agent in agents if not agent.fixed}
         times = moving or self._times_of_data()
         begins, ends = ({name: int(each[end]) for name, each in times.items()} for end in (0, -1))
         latest, earliest = max(begins, key=begins.__getitem__), min(ends, key=ends.__getitem__)
@@ -116,88 +103,74 @@ class BagScene:
                 f"{self._path}: the poses of {earliest} end {(first - last) / 1e9:.3f} s before those of {latest} "
                 "begin, expected a time at which all agents have one; `offset_s` and `time` of the map align clocks"
             )
-        if first - min(begins.values()) > self._map.period_ns:
-            late = (first - min(begins.values())) / 1e9
-            self.notes.append(f"frames begin with the poses of {latest}, {late:.3f} s after those of others")
-        if max(ends.values()) - last > self._map.period_ns:
-            early = (max(ends.values()) - last) / 1e9
-            self.notes.append(f"frames end with the poses of {earliest}, {early:.3f} s before those of others")
+        for what, who, gap_ns, when in (
+            ("begin", latest, first - min(begins.values()), "after"),
+            ("end", earliest, max(ends.values()) - last, "before"),
+        ):
+            if gap_ns > self._map.period_ns:
+                self.notes.append(f"frames {what} with the poses of {who}, {gap_ns / 1e9:.3f} s {when} those of others")
         if part.start_s > (last - first) / 1e9:
             raise ConfigurationError(
                 f"{self._path}: start_s is {part.start_s:g}, expected 0 to {(last - first) / 1e9:g}"
             )
         begin = first + round(part.start_s * 1e9)
-        whole = part.duration_s is None or part.duration_s > (last - begin) / 1e9
-        end = last if whole or part.duration_s is None else begin + round(part.duration_s * 1e9)
-        count = (end - begin) // self._map.period_ns + 1
+        if part.duration_s is not None and part.duration_s <= (last - begin) / 1e9:
+            last = begin + round(part.duration_s * 1e9)
+        count = (last - begin) // self._map.period_ns + 1
         if count > _MAX_FRAMES:
             raise SceneError(
-                f"{self._path}: found times from {first} to {last} ns: {count} frames, expected at most {_MAX_FRAMES}; "
+                f"{self._path}: found {count} frames from {begin} to {last} ns, expected at most {_MAX_FRAMES}; "
                 "choose a part by start_s and duration_s, or other times by `time` of the map"
             )
         return begin + np.arange(count, dtype=np.int64) * self._map.period_ns
 
     def _times_of_data(self) -> dict[str, Ints]:
         """Times of measurements and of the truth, for a scene in which no agent moves."""
-        times = {place: measured.times_ns for place, measured in self._measured.items()}
-        times |= {place: track.times_ns for place, track in self._tracks.items()}
-        times |= {
-            f"{place} {row}": each.poses.times_ns
-            for place, objects in self._lists.items()
-            for row, each in enumerate(objects)
-        }
+        times = [each.poses.times_ns for listed in self._lists.values() for each in listed]
+        times += [each.times_ns for each in self._measured.values()]
+        times += [each.times_ns for each in self._tracks.values()]
         if not times:
-            raise ConfigurationError(
-                f"{self._map.place}: found no topics, expected at least one, for the times of frames"
-            )
-        return times
+            raise ConfigurationError(f"{self._path}: the map has no topics, expected one, for the times of frames")
+        return {str(row): each for row, each in enumerate(times)}
 
-    def _poses(self, agent: AgentEntry, times_ns: Ints) -> _Poses:
+    def _poses(self, agent: AgentEntry, times_ns: Ints) -> PosesAt:
         """Poses of an agent at times (n,)."""
-        if not isinstance(agent.pose, Pose):
-            return _Poses(*self._tracks[agent.pose.place].at(times_ns, self._map.max_gap_ns))
-        count = len(times_ns)
-        position, rotation = np.tile(agent.pose.position, (count, 1)), np.tile(agent.pose.rotation, (count, 1, 1))
-        return _Poses(position, rotation, np.ones(count, bool))
+        if not agent.fixed:
+            return self._tracks[agent.pose].at(times_ns, self._map.max_gap_ns)
+        count, pose = len(times_ns), agent.pose.fixed
+        return PosesAt(np.tile(pose.origin, (count, 1)), np.tile(pose.rotation, (count, 1, 1)), np.ones(count, bool))
 
-    def _agent_path(self, agent: AgentEntry, object_id: int) -> AgentPath:
+    def _agent_path(self, name: str, agent: AgentEntry, object_id: int) -> AgentPath:
         poses = self._poses(agent, self._times_ns)
         if not poses.known.all():
-            assert not isinstance(agent.pose, Pose)
-            time = int(self._times_ns[np.flatnonzero(~poses.known)[0]])
-            times = self._tracks[agent.pose.place].times_ns
+            time, times = int(self._times_ns[poses.known.argmin()]), self._tracks[agent.pose].times_ns
             after = int(np.searchsorted(times, time))
             gap_s, at_s = (times[after] - times[after - 1]) / 1e9, (time - self._times_ns[0]) / 1e9
             raise SceneError(
-                f"{self._path}: agent {agent.name}: {agent.pose.topic}: found no pose for {gap_s:.3f} s, {at_s:.3f} s "
-                f"after the first frame, expected one every {self._map.max_gap_ns / 1e9:g} s (max_gap_s of the map); "
+                f"{self._path}: agent {name}: {agent.pose.topic}: found no pose for {gap_s:.3f} s, {at_s:.3f} s "
+                f"after the first frame, expected one every {self._map.max_gap_s:g} s (max_gap_s of the map); "
                 "start_s and duration_s choose a part"
             )
         sensors = tuple(entry.sensor for entry in agent.sensors)
         kind = "static" if agent.fixed else "mobile"
-        described = SceneAgent(agent.name, kind, object_id, sensors[0].lidar, _CAMERA, sensors)
+        described = SceneAgent(name, kind, object_id, sensors[0].lidar, _CAMERA, sensors)
         velocity = np.zeros_like(poses.position) if agent.fixed else None
         return AgentPath(described, poses.position, poses.rotation, velocity)
 
     def _boxes(self) -> tuple[SceneBoxes, dict[str, int]]:
         """The boxes of all objects in the frames, and by agent the id of its own object."""
-        parts: list[SceneBoxes] = [_NO_BOXES]
-        own_ids: dict[str, int] = {}
-        for number, agent in enumerate(self._map.agents, start=1):  # agents that do not play are objects, too
-            if agent.body is not None:
-                own_ids[agent.name] = number
-                poses = self._poses(agent, self._times_ns)
-                parts.append(_boxes_of(number, agent.body, poses))
-                self._note_absence(agent.name, poses.known)
+        gap_ns, parts, own_ids = self._map.max_gap_ns, [_boxes_of(0, _NO_BODY, _NOWHERE)], {}
+        for number, (name, agent) in enumerate(self._map.agents.items(), start=1):
+            if agent.body is not None:  # agents that do not play are objects, too
+                own_ids[name] = number
+                parts.append(self._part(name, number, agent.body, self._poses(agent, self._times_ns)))
         number = len(self._map.agents)
-        for entry in self._map.truth:
+        for name, entry in self._map.truth.items():
             if entry.body is not None:
                 number += 1
-                poses = _Poses(*self._tracks[entry.source.place].at(self._times_ns, self._map.max_gap_ns))
-                parts.append(_boxes_of(number, entry.body, poses))
-                self._note_absence(entry.name, poses.known)
+                parts.append(self._part(name, number, entry.body, self._tracks[entry].at(self._times_ns, gap_ns)))
                 continue
-            for each in self._lists[entry.source.place]:
+            for each in self._lists[entry]:
                 number += 1
                 parts.append(self._boxes_of_list(number, each))
         total = sum(map(len, parts))
@@ -205,28 +178,23 @@ class BagScene:
             raise SceneError(f"{self._path}: found {total} boxes in all frames, expected at most {MAX_BOXES}")
         return SceneBoxes.concatenate(parts), own_ids
 
+    def _part(self, name: str, number: int, body: Body, poses: PosesAt) -> SceneBoxes:
+        """The boxes of an object with a body; frames without one are noted."""
+        if not poses.known.all():
+            absent, frames = int((~poses.known).sum()), len(poses.known)
+            self.notes.append(f"{name}: not there in {absent} of {frames} frames, which have no pose of it")
+        return _boxes_of(number, body, poses)
+
     def _boxes_of_list(self, number: int, tracked: TrueObject) -> SceneBoxes:
         """The boxes of an object of a list in the frames in which its pose is known."""
         times = tracked.poses.times_ns
         first = int(np.searchsorted(self._times_ns, times[0]))
         within = self._times_ns[first : np.searchsorted(self._times_ns, times[-1], side="right")]
-        poses = _Poses(*tracked.poses.at(within, self._map.max_gap_ns))
-        known = np.flatnonzero(poses.known)
-        row = np.searchsorted(times, within[known], side="right") - 1
-        return SceneBoxes(
-            frame=first + known,
-            id=np.full(len(known), number, np.int64),
-            position=poses.position[known],
-            size=tracked.size[row],
-            yaw=heading(poses.rotation[known]),
-            class_id=tracked.class_id[row],
-        )
-
-    def _note_absence(self, name: str, known: Bools) -> None:
-        if not known.all():
-            self.notes.append(
-                f"{name}: not there in {int((~known).sum())} of {len(known)} frames, which have no pose of it"
-            )
+        poses = tracked.poses.at(within, self._map.max_gap_ns)
+        row = np.searchsorted(times, within, side="right") - 1
+        boxes = SceneBoxes.throughout(number, poses.position, np.ones(3), heading(poses.rotation), 0)
+        boxes = replace(boxes, frame=first + boxes.frame, size=tracked.size[row], class_id=tracked.class_id[row])
+        return boxes.select(poses.known)
 
     def _with_detections(self, recording: Recording) -> Recording:
         """A recording whose sensors with a topic have the detections and the times of the bag, in its frames."""
@@ -235,17 +203,17 @@ class BagScene:
         age, position, rotation = np.zeros(shape, np.int64), np.empty((*shape, 3)), np.empty((*shape, 3, 3))
         rows: list[_Rows] = []
         generated: list[str] = []
-        for agent_row, agent in enumerate(self._agents):
+        for agent_row, agent in enumerate(self._agents.values()):
             for sensor_row, entry in enumerate(agent.sensors):
                 column = len(rows)
                 position[:, column] = recording.agent_position[:, agent_row]
                 rotation[:, column] = recording.agent_rotation[:, agent_row]
                 name = recording.sensor_names[column]
-                if entry.source is None:
+                if not entry.topic:
                     rows.append(_rows_of(recording, agent_row, sensor_row))
                     generated.append(name)
                     continue
-                measured = self._measured[entry.source.place]
+                measured = self._measured[entry]
                 poses = self._poses(agent, measured.times_ns)
                 usable = np.flatnonzero(poses.known)
                 schedule = SensorSchedule.recorded(self._times_ns - start, measured.times_ns[usable] - start, usable)
@@ -285,28 +253,15 @@ class BagScene:
                 self.notes.append(f"{name}: {number} of {total} measurements left out: {why}")
 
 
-_NO_BOXES = SceneBoxes(
-    frame=np.zeros(0, np.int64),
-    id=np.zeros(0, np.int64),
-    position=np.zeros((0, 3)),
-    size=np.zeros((0, 3)),
-    yaw=np.zeros(0),
-    class_id=np.zeros(0, np.uint8),
-)
+_NO_BODY = Body(size=(1.0, 1.0, 1.0), kind="unknown")
+_NOWHERE = PosesAt(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0, bool))
 
 
-def _boxes_of(number: int, body: Body, poses: _Poses) -> SceneBoxes:
+def _boxes_of(number: int, body: Body, poses: PosesAt) -> SceneBoxes:
     """The boxes of an object in the frames in which its pose is known."""
-    frame = np.flatnonzero(poses.known)
-    rotation, count = poses.rotation[frame], len(frame)
-    return SceneBoxes(
-        frame=frame,
-        id=np.full(count, number, np.int64),
-        position=poses.position[frame] + rotation @ body.centre,
-        size=np.tile(body.size, (count, 1)),
-        yaw=heading(rotation),
-        class_id=np.full(count, body.class_id, np.uint8),
-    )
+    position = poses.position + poses.rotation @ np.array(body.centre)
+    size, yaw = np.array(body.size), heading(poses.rotation)
+    return SceneBoxes.throughout(number, position, size, yaw, CLASS_INDEX[body.kind]).select(poses.known)
 
 
 def _rows_of(recording: Recording, agent: int, sensor: int) -> _Rows:
@@ -320,7 +275,7 @@ def _rows_of(recording: Recording, agent: int, sensor: int) -> _Rows:
     return _Rows(frame, recording.detections.select(rows), recording.detection_truth_id[rows])
 
 
-def _measured_rows(measured: Measured, source: Ints, frame: Ints, poses: _Poses, lidar: LidarSensor) -> _Rows:
+def _measured_rows(measured: Measured, source: Ints, frame: Ints, poses: PosesAt, lidar: LidarSensor) -> _Rows:
     """Recorded detections in the frame of their sensor when it measured.
 
     source: (n,) rows of the measurements; frame: (n,) in which each is new; poses: of the agent at all measurements
@@ -332,7 +287,7 @@ def _measured_rows(measured: Measured, source: Ints, frame: Ints, poses: _Poses,
         if measured.fixed is None:
             parts.append(replace(detections, yaw=_about_vertical(detections.yaw, pose[1])))
             continue
-        origin, turn = measured.fixed
+        origin, turn = measured.fixed.origin, measured.fixed.rotation
         in_world = replace(
             detections,
             position=to_world(detections.position, origin, turn),

@@ -1,8 +1,8 @@
 """Decodes messages of ROS 2 bags: types that are known, and a user's own types by their definition.
 
-Definitions in a bag are compared with ours, and hashes, too: bytes are never read with the fields of another version.
-Those of own types may come from anybody. rosbags makes Python classes and functions of them, in whose code names of
-letters, digits and _ are all that is theirs; an element of an array is a line, so arrays have a limit.
+Known types of a bag have the hash of ours, so bytes are never read with the fields of another version. Of own types,
+rosbags makes Python classes and functions, in whose code names of letters, digits and _ are all that is theirs; an
+element of an array is a line, so arrays have a limit.
 """
 
 from __future__ import annotations
@@ -11,78 +11,54 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from mast_ros2 import type_store
-from rosbags.interfaces import Nodetype
+from rosbags.interfaces import Connection, MessageDefinitionFormat, Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mast_datasets.rosbag_storage import Topic
 from mast_zenoh.errors import ConfigurationError, MessageError, SceneError, nearest
 
 #: Makes a message of a payload; raises MessageError for bytes that are none.
 Decode = Callable[[bytes], Any]
-#: Fields of types by name: pairs of a name and a description, as rosbags has them.
-Fields = dict[str, list[tuple[str, Any]]]
-
+#: Constants and fields of types by name, as rosbags has them.
+Fields = dict[str, Any]
 #: Steps to a value in nested messages and lists.
 Steps = tuple[str | int, ...]
 
-_MAX_DEFINITION = 200_000
+_MAX_DEFINITION = 200_000  # characters
 _MAX_ARRAYS = 1000  # elements of all arrays in a type that are no numbers
 
 
 def parse_definition(name: str, text: str) -> Fields:
-    """The fields of a type, and of types in it, from a definition in the language of `.msg` files.
-
-    Raises ValueError for a text that is none.
-    """
+    """The fields of a type, and of types in it, from a `.msg` text. Raises ValueError for a text that is none."""
     if len(text) > _MAX_DEFINITION:
         raise ValueError(f"a definition of {len(text)} characters, expected at most {_MAX_DEFINITION}")
     try:
-        parsed = get_types_from_msg(text, name)
-    except (TypesysError, ValueError, AssertionError, KeyError, RecursionError) as error:
-        raise ValueError(
-            f"the definition of {name!r:.120} cannot be read: {' '.join(str(error).split()):.200}"
-        ) from None
-    return {kind: list(fields) for kind, (_, fields) in parsed.items()}
+        return {kind: ([], fields) for kind, (_, fields) in get_types_from_msg(text, name).items()}
+    except Exception as error:  # of the parser, which raises many kinds
+        words = " ".join(str(error).split())
+        raise ValueError(f"the definition of {name!r:.120} cannot be read: {words:.200}") from None
 
 
-def all_fields() -> Fields:
-    """The fields of all types that are known."""
-    return {kind: list(fields) for kind, (_, fields) in type_store.STORE.fielddefs.items()}
+def _defined(connection: Connection) -> Fields:
+    definition = connection.msgdef
+    is_text = definition.format == MessageDefinitionFormat.MSG
+    return parse_definition(connection.msgtype, definition.data) if is_text else {}
 
 
-def known_decoder(place: str, topic: Topic) -> Decode:
-    """How to decode a type that is known. place: of the bag, for messages
-
-    Raises SceneError if the bag has another version of it.
-    """
-    ours = all_fields()
-    if topic.definition:
-        try:
-            theirs = parse_definition(topic.type, topic.definition)
-        except ValueError as error:
-            raise SceneError(f"{place}: {topic.name}: {error}") from None
-        for kind, fields in theirs.items():
-            if _normal(fields) != _normal(ours.get(kind, [])):
-                names = ", ".join(f"{name}" for name, _ in fields)
-                expected = ", ".join(f"{name}" for name, _ in ours.get(kind, []))
-                raise SceneError(
-                    f"{place}: {topic.name}: the bag has another version of {kind}: found the fields {names:.300}, "
-                    f"expected {expected or 'no such type'}; `fields` in the map reads any version"
-                )
-    if topic.hash.startswith("RIHS01_") and topic.hash != type_store.type_hash(topic.type):
+def known_decoder(place: str, connection: Connection) -> Decode:
+    """How to decode a type that is known. Raises SceneError if the bag has another version of it. place: of the bag"""
+    name, store = connection.msgtype, get_typestore(Stores.EMPTY)
+    try:
+        store.fielddefs = _defined(connection)
+        theirs = {connection.digest, store.hash_rihs01(name) if store.fielddefs else ""}
+    except Exception as error:  # a definition may lack types, or contain itself
+        raise SceneError(f"{place}: {connection.topic}: {error!s:.300}") from None
+    if others := theirs - {"", type_store.type_hash(name)}:
         raise SceneError(
-            f"{place}: {topic.name}: the bag has another version of {topic.type}: found the hash {topic.hash!r:.80}, "
-            f"expected {type_store.type_hash(topic.type)}"
+            f"{place}: {connection.topic}: the bag has another version of {name}: found the hash "
+            f"{', '.join(sorted(others)):.200}, expected {type_store.type_hash(name)}; `fields` in the map reads any"
         )
-    return lambda payload: type_store.decode(topic.type, payload)
-
-
-def _normal(fields: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
-    return [(name.lower(), description) for name, description in fields] or [_FILLER]
-
-
-_FILLER = ("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))
+    return lambda payload: type_store.decode(name, payload)
 
 
 class OwnType:
@@ -94,20 +70,18 @@ class OwnType:
     none.
     """
 
-    def __init__(self, place: str, topic: Topic, of_map: Mapping[str, Fields]) -> None:
-        self._name, known = topic.type, all_fields()
-        self._store = get_typestore(Stores.EMPTY)
+    def __init__(self, place: str, connection: Connection, of_map: Fields) -> None:
+        self._name, self._store = connection.msgtype, get_typestore(Stores.EMPTY)
         self._store.max_sequence_length = type_store.MOST_ELEMENTS
         try:
-            if topic.definition:
-                known |= parse_definition(topic.type, topic.definition)
-            for defined in of_map.values():
-                known |= defined
-            self._fields = _needed(place, topic, known)
-            self._store.register({kind: ([], fields) for kind, fields in self._fields.items()})
-            self._store.get_msgdef(topic.type)
-        except (TypesysError, ValueError, TypeError, SyntaxError, RecursionError) as error:
-            raise SceneError(f"{place}: {topic.name}: {topic.type!r:.120} cannot be read: {error!s:.200}") from None
+            known = {**type_store.STORE.fielddefs, **_defined(connection), **of_map}
+            self._store.register(_needed(f"{place}: {connection.topic}", self._name, known))
+            self._store.get_msgdef(self._name)
+        except ConfigurationError:
+            raise
+        except Exception as error:  # of rosbags, for a type that cannot be
+            name = f"{place}: {connection.topic}: {self._name!r:.120}"
+            raise SceneError(f"{name} cannot be read: {error!s:.200}") from None
 
     def decode(self, payload: bytes) -> Any:
         """The message of a payload. Raises MessageError for bytes that are none."""
@@ -116,59 +90,51 @@ class OwnType:
         except SerdeError as error:
             raise MessageError(f"{self._name}: {len(payload)} bytes: {error}") from None
 
-    def element_of(self, path: Steps) -> str:
-        """The type of the elements of the list at a path. Raises ValueError if there is no list of messages."""
-        kind, detail = self._at(self._name, path)
+    def check_paths(self, paths: Mapping[str, Steps]) -> None:
+        """Raise ValueError unless `list` leads to a list of messages, and the others to something in these."""
+        kind, detail = self._at(self._name, paths["list"])
         if kind not in (Nodetype.ARRAY, Nodetype.SEQUENCE) or detail[0][0] != Nodetype.NAME:
-            raise ValueError(f"{_written(path)} of {self._name} is no list of messages")
-        return str(detail[0][1])
-
-    def check_path(self, name: str, path: Steps) -> None:
-        """Raise ValueError if a type of this name has nothing at a path."""
-        self._at(name, path)
+            raise ValueError(f"{'.'.join(map(str, paths['list']))} of {self._name} is no list of messages")
+        for name, path in paths.items():
+            if name != "list":
+                self._at(str(detail[0][1]), path)
 
     def _at(self, name: str, path: Steps) -> Any:
         """The description of what is at a path in a type."""
-        description: Any = (Nodetype.NAME, name)
+        kind: Nodetype = Nodetype.NAME
+        detail: Any = name
         for step in path:
-            kind, detail = description
-            if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) and isinstance(step, int):
-                description = detail[0]
+            is_list = kind in (Nodetype.ARRAY, Nodetype.SEQUENCE)
+            if is_list and isinstance(step, int):
+                kind, detail = detail[0]
                 continue
-            fields = dict(self._fields[detail]) if kind == Nodetype.NAME else {}
+            fields = dict(self._store.fielddefs[detail][1]) if kind == Nodetype.NAME else {}
             if step not in fields:
-                known = ", ".join(fields) or ("a number" if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else "no step")
-                hint = nearest(str(step), fields)
-                raise ValueError(f"{_written(path)} of {name}: found no {step!r}, expected one of {known}{hint}")
-            description = fields[step]
-        return description
+                known = ", ".join(fields) or ("a number" if is_list else "no step")
+                where = f"{'.'.join(map(str, path))} of {name}"
+                raise ValueError(f"{where}: found no {step!r}, expected one of {known}{nearest(str(step), fields)}")
+            kind, detail = fields[step]
+        return kind, detail
 
 
-def _written(path: Steps) -> str:
-    return ".".join(map(str, path))
-
-
-def _needed(place: str, topic: Topic, known: Fields) -> Fields:
-    """The fields of a topic's type, and of all types in it.
+def _needed(place: str, name: str, known: Fields) -> Fields:
+    """The fields of a type, and of all types in it.
 
     Raises ConfigurationError for a type that is not defined, and ValueError for arrays that are too long, or empty:
     every element takes a byte at least, so the work is bounded by the size of the message.
     """
     needed: Fields = {}
-    missing, elements = [topic.type], 0
+    missing, elements = [name], 0
     while missing:
         kind = missing.pop()
         if kind not in known:
-            raise ConfigurationError(
-                f"{place}: {topic.name}: the bag has no definition of {kind!r:.120}: expected one under `types` of the "
-                f"map{nearest(kind, list(known))}"
-            )
+            expected = f"expected one under `types` of the map{nearest(kind, list(known))}"
+            raise ConfigurationError(f"{place}: the bag has no definition of {kind!r:.120}: {expected}")
         needed[kind] = known[kind]
-        for _, (node, detail) in known[kind]:
+        for _, (node, detail) in known[kind][1]:
             inner, length = ((node, detail), 1) if node in (Nodetype.BASE, Nodetype.NAME) else detail
-            is_number = inner[0] == Nodetype.BASE and inner[1][0] != "string"
             if node == Nodetype.ARRAY:
-                elements += 0 if is_number else length
+                elements += length if inner[0] == Nodetype.NAME or inner[1][0] == "string" else 0
                 if length < 1 or elements > _MAX_ARRAYS:
                     raise ValueError(f"{kind} has a list of {length} elements, expected 1 to {_MAX_ARRAYS} in all")
             if inner[0] == Nodetype.NAME and inner[1] not in needed:
