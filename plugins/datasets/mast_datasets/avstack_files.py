@@ -7,6 +7,7 @@ import contextlib
 import gzip
 import itertools
 import lzma
+import re
 import tarfile
 import tempfile
 import zlib
@@ -18,15 +19,16 @@ from typing import IO, Annotated, Any, cast
 
 import msgspec
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from mast_datasets.files import Coordinate, Element, Point, read_json
+from mast_datasets.traffic import closed_outline
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.detection_tables import class_of
-from mast_zenoh.scenes.own_detections import lines_of_agents, reason
+from mast_zenoh.scenes.own_detections import lines_of_agents
 
 #: Limit on the members of an archive, of any kind.
 MAX_MEMBERS = 200_000
@@ -62,7 +64,10 @@ def unpack(path: Path, folder: Path, suffixes: tuple[str, ...], max_bytes: int) 
                     if not member.name.endswith(suffixes) or member.isdir():
                         continue
                     if not member.isfile() or member.issparse():
-                        raise SceneError(f"{path}: {_describe_special(member)}")
+                        is_link = member.islnk() or member.issym()
+                        kind = f"a link to {member.linkname!r}" if is_link else "not a regular file"
+                        expected = "expected plain files: pack with tar --dereference --hard-dereference"
+                        raise SceneError(f"{path}: {member.name} is {kind}, {expected}")
                     total += member.size
                     if total > max_bytes:
                         raise SceneError(
@@ -130,14 +135,6 @@ def _members(archive: tarfile.TarFile, bounded: _Bounded, path: Path) -> Iterato
         bounded.budget = _MAX_HEADER
 
 
-def _describe_special(member: tarfile.TarInfo) -> str:
-    if member.islnk() or member.issym():
-        kind = f"a link to {member.linkname!r}"
-    else:
-        kind = "a sparse file" if member.issparse() else "not a regular file"
-    return f"{member.name} is {kind}, expected plain files: pack with tar --dereference --hard-dereference"
-
-
 def _mb(size: int) -> str:
     return f"{size / 1e6:,.6g} MB"
 
@@ -161,19 +158,17 @@ class Layout:
 
         Raises SceneError for gaps and for missing files.
         """
-        actors = object_files(self.run / "objects", "actors")
-        others = object_files(self.run / "objects", "npcs")
+        folder = self.run / "objects"
+        actors, others = (_files(folder, kind) for kind in ("actors", "npcs"))
         if not actors:
-            raise SceneError(f"{self.run / 'objects'}: no file objectstate-actors-<frame>-<time>.txt")
-        check_frames(self.run / "objects", "npcs", others, list(actors))
-        check_frames(self.run / "objects", "actors", actors, list(others))
+            raise SceneError(f"{folder}: no file objectstate-actors-<frame>-<time>.txt")
+        _files(folder, "npcs", list(actors))
+        _files(folder, "actors", list(others))
         numbers = list(actors)
         stride = numbers[1] - numbers[0] if len(numbers) > 1 else 1
         for before, after in itertools.pairwise(numbers):
             if after - before != stride:
-                raise SceneError(
-                    f"{self.run / 'objects'}: frame {before} is followed by {after}, expected {before + stride}"
-                )
+                raise SceneError(f"{folder}: frame {before} is followed by {after}, expected {before + stride}")
         return actors
 
     def sensors(self, kind: str, agent: int) -> list[str]:
@@ -187,12 +182,7 @@ class Layout:
 
     def calibrations(self, sensor: str, frames: Sequence[int]) -> dict[int, Path]:
         """The calibration of a sensor in every frame."""
-        folder = self.run / "data" / sensor
-        files: dict[int, Path] = {}
-        for path in folder.glob("calib-timestamp_*-frame_*.txt"):
-            files[_frame_number(path, path.stem.rpartition("frame_")[2])] = path
-        check_frames(folder, "calib", files, frames)
-        return {frame: files[frame] for frame in frames}
+        return _files(self.run / "data" / sensor, "calib", frames)
 
     def seen(self, sensor: str, frames: Sequence[int]) -> dict[int, Path] | None:
         """The file of visible objects of a sensor in every frame.
@@ -200,11 +190,7 @@ class Layout:
         None without a folder for that sensor.
         """
         folder = self.run / "objects_sensor" / sensor
-        if not folder.is_dir():
-            return None
-        files = object_files(folder, "objects")
-        check_frames(folder, "objects", files, frames)
-        return {frame: files[frame] for frame in frames}
+        return _files(folder, "objects", frames) if folder.is_dir() else None
 
 
 @contextlib.contextmanager
@@ -247,30 +233,24 @@ def find_layout(path: Path) -> Layout:
     return Layout(runs[0], (runs[0], *above))
 
 
-def object_files(folder: Path, kind: str) -> dict[int, Path]:
-    """The files `objectstate-<kind>-<frame>-<time>.txt` by frame, in order."""
+def _files(folder: Path, kind: str, frames: Sequence[int] | None = None) -> dict[int, Path]:
+    """The files of a kind by the frames in their names, in order; None: of all frames.
+
+    Raises SceneError with the first frame that has none, and for a name without a number.
+    """
+    begin = "calib-timestamp_" if kind == "calib" else f"objectstate-{kind}-"
+    name = re.compile(r".*-frame_([0-9]+)\.txt" if kind == "calib" else rf"{begin}([0-9]+)-[^-]*\.txt")
     files: dict[int, Path] = {}
-    for path in folder.glob(f"objectstate-{kind}-*.txt"):
-        parts = path.stem.split("-")
-        if len(parts) != 4:
-            raise SceneError(f"{path}: the name has {len(parts)} parts, expected objectstate-{kind}-<frame>-<time>.txt")
-        files[_frame_number(path, parts[2])] = path
-    return dict(sorted(files.items()))
-
-
-def _frame_number(path: Path, text: str) -> int:
-    if not text.isdecimal():
-        raise SceneError(f"{path}: {text!r} in the name is not a frame number")
-    return int(text)
-
-
-def check_frames(folder: Path, kind: str, files: dict[int, Path], frames: Sequence[int]) -> None:
-    """Raise SceneError with the first frame that has no file of a kind."""
-    missing = [frame for frame in frames if frame not in files]
-    if missing:
-        raise SceneError(
-            f"{folder}: no {kind} file for frame {missing[0]} (missing for {len(missing)} of {len(frames)} frames)"
-        )
+    for path in folder.glob(f"{begin}*.txt"):
+        match = name.fullmatch(path.name)
+        if match is None:
+            raise SceneError(f"{path}: found no frame number in the name, expected {begin}… with one")
+        files[int(match[1])] = path
+    missing = [frame for frame in frames or () if frame not in files]
+    if frames and missing:
+        count = f"{len(missing)} of {len(frames)} frames"
+        raise SceneError(f"{folder}: no {kind} file for frame {missing[0]} (missing for {count})")
+    return {frame: files[frame] for frame in (sorted(files) if frames is None else frames)}
 
 
 #: Values of `occlusion` of an object that a sensor does not see: invalid and complete. 0, 1 and 2 mean none, partial
@@ -371,15 +351,13 @@ def _object_state(data: Element) -> ObjectState:
 def _point(data: Element, name: str) -> Floats:
     """(3,) m, a position in the world."""
     point, (origin, rotation) = _referenced(data, name)
-    position: Floats = origin + rotation @ np.array(point["x"].read(Point))
-    return position
+    return np.asarray(origin + rotation @ np.array(point["x"].read(Point)))
 
 
 def _rotation(data: Element) -> Floats:
     """(3, 3) active rotation of an attitude, body to world."""
     attitude, (_, rotation) = _referenced(data, "attitude")
-    turned: Floats = rotation @ _active(attitude)
-    return turned
+    return np.asarray(rotation @ _active(attitude))
 
 
 def _referenced(data: Element, name: str) -> tuple[Element, tuple[Floats, Floats]]:
@@ -435,6 +413,13 @@ def _parsed(element: Element) -> Element:
 _DEFAULT_HEIGHT_M = 12.0  # of buildings
 
 
+class _Returns(Struct, array_like=True):
+    """Lidar returns of an object; more numbers may follow."""
+
+    id: int
+    points: Annotated[int, Meta(ge=0, le=2**31 - 1)]
+
+
 def read_visibility(
     path: Path, frames: Sequence[int], agents: Sequence[int], ids: Ints, start: Ints
 ) -> NDArray[np.int32]:
@@ -445,15 +430,10 @@ def read_visibility(
     points = np.zeros((len(ids), len(agents)), np.int32)
     for place, frame, agent, data in lines_of_agents(path, frames, agents, "objects"):
         row = {int(i): k for k, i in enumerate(ids[start[frame] : start[frame + 1]], start=int(start[frame]))}
-        try:
-            for entry in data:
-                if int(entry[0]) not in row:
-                    raise ValueError(f"object {entry[0]} is not in the scene in this frame")
-                if int(entry[1]) < 0:
-                    raise ValueError(f"object {entry[0]} has {entry[1]} points, expected 0 or more")
-                points[row[int(entry[0])], agent] = int(entry[1])
-        except (ValueError, KeyError, TypeError, IndexError) as error:
-            raise SceneError(f"{place}: {reason(error)}") from error
+        for listed in Element(data, Path(place)).read(list[_Returns]):
+            if listed.id not in row:
+                raise SceneError(f"{place}: object {listed.id} is not in the scene in this frame")
+            points[row[listed.id], agent] = listed.points
     return points
 
 
@@ -465,10 +445,5 @@ def read_buildings(path: Path, scene: Path | None) -> tuple[tuple[Floats, ...], 
     height = None if scene is None else read_json(scene).get("building_height_m")
     outlines = []
     for index, polygon in enumerate(read_json(path).read(list[list[tuple[Coordinate, Coordinate]]])):
-        outline = np.array(polygon)
-        if len(outline) > 1 and np.array_equal(outline[0], outline[-1]):
-            outline = outline[:-1]
-        if len(outline) < 3:
-            raise SceneError(f"{path}: $[{index}]: found {len(outline)} corners, expected at least 3")
-        outlines.append(outline)
+        outlines.append(closed_outline(np.array(polygon), Element(polygon, path, f"$[{index}]").fail))
     return tuple(outlines), np.full(len(outlines), _DEFAULT_HEIGHT_M if height is None else height.read(Coordinate))

@@ -9,7 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from mast_datasets.files import find_file
-from mast_datasets.traffic import HEIGHT_OF_CLASS, TrafficScene, busiest_vehicle, classes_of, ego_in_traffic
+from mast_datasets.traffic import (
+    HEIGHT_OF_CLASS,
+    TrafficScene,
+    busiest_vehicle,
+    classes_of,
+    closed_outline,
+    ego_in_traffic,
+)
 from mast_datasets.xml_files import XmlElement, has_root, read_xml
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -60,11 +67,7 @@ def read_outline(shape: XmlElement) -> Outline:
 def read_polygon(polygon: XmlElement) -> Floats:
     """Corners (k, 2) m of a polygon, without repeating the first."""
     corners = np.array([read_point(child) for child in polygon.children if child.tag == "point"]).reshape(-1, 2)
-    if len(corners) > 1 and np.array_equal(corners[0], corners[-1]):
-        corners = corners[:-1]
-    if len(corners) < 3:
-        polygon.fail(f"found {len(corners)} different corners, expected 3 or more")
-    return corners
+    return closed_outline(corners, polygon.fail)
 
 
 def read_point(point: XmlElement) -> Floats:
@@ -74,7 +77,6 @@ def read_point(point: XmlElement) -> Floats:
 
 _VERSIONS = ("2018b", "2020a")
 _TAGS = ("obstacle", "dynamicObstacle", "staticObstacle", "environmentObstacle", "phantomObstacle")
-_MAX_OBSTACLES = 10_000
 _MAX_STEP = 100_000  # number of the last time step
 
 CLASS_OF_TYPE = classes_of(
@@ -140,9 +142,7 @@ def read_scenario(path: Path) -> ScenarioFile:
     name = root.attribute("benchmarkID").text()
     obstacles: dict[int, Obstacle] = {}
     buildings: list[Floats] = []
-    for count, element in enumerate(elements):
-        if count >= _MAX_OBSTACLES:
-            element.fail(f"found more than {_MAX_OBSTACLES} obstacles, expected at most as many")
+    for element in elements:
         kind = element.child("type").text.text() if element.tag != "phantomObstacle" else ""
         if element.tag == "environmentObstacle" and kind == "building":
             buildings.append(read_polygon(element.child("shape").child("polygon")))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -104,8 +106,7 @@ _CAR_SIZE = np.array([4.8, 1.9, 1.6])
 _LIDAR_HEIGHT_M = (1.0, 4.0)  # above the ground; estimated from the boxes nearby, within these limits
 
 
-@dataclass(frozen=True, eq=False)
-class Poses:
+class Poses(NamedTuple):
     """Poses of a lidar in the world: position (F, 3) m, rotation (F, 3, 3) active."""
 
     position: Floats
@@ -199,15 +200,13 @@ class _Side:
         references = [label.get(self.reference) for label in cooperative]
         near = matched(positions(labels, self.position, self.rotation), boxes, radius_m)
         tracks = {track_of(label) for label in labels}
-        seen = near.copy()
         for row, (label, element) in enumerate(zip(cooperative, references, strict=True)):
-            if element is None:
-                continue
-            name = track_of(label, self.reference)
-            seen[row] = name != _UNSEEN
-            if seen[row] and name not in tracks:
-                element.fail(f"-1, or the track of a label in {self.path}")
-        return seen
+            if element is not None:
+                name = track_of(label, self.reference)
+                near[row] = name != _UNSEEN
+                if near[row] and name not in tracks:
+                    element.fail(f"-1, or the track of a label in {self.path}")
+        return near
 
 
 def with_car(truth: Truth, car: Poses) -> tuple[Truth, int]:
@@ -225,16 +224,10 @@ def with_car(truth: Truth, car: Poses) -> tuple[Truth, int]:
     object_id = int(boxes.id.max()) + 1
     middle = np.column_stack([car.position[:, :2], bottom + _CAR_SIZE[2] / 2])
     added = SceneBoxes.throughout(object_id, middle, _CAR_SIZE, heading(car.rotation), CLASS_INDEX["car"])
-    seen = np.column_stack([np.zeros(frames, bool), seen_by_pole])
+    seen = np.concatenate([truth.seen[~own], np.column_stack([np.zeros(frames, bool), seen_by_pole])])
     known = np.column_stack([np.ones(frames, bool), np.full(frames, own.any())])
-    return (
-        Truth(
-            SceneBoxes.concatenate([rest, added]),
-            np.concatenate([truth.seen[~own], seen]),
-            np.concatenate([truth.known[~own], known]),
-        ),
-        object_id,
-    )
+    known = np.concatenate([truth.known[~own], known])
+    return Truth(SceneBoxes.concatenate([rest, added]), seen, known), object_id
 
 
 def _enclosing(boxes: SceneBoxes, position: Floats) -> Ints:
@@ -266,7 +259,6 @@ _POLE_LIDAR = LidarSensor(
     max_range_m=200.0,
 )
 _CAMERA = Camera(mount_position=_ORIGIN)
-_NO_LIMIT = 10**40
 
 
 @dataclass(kw_only=True, eq=False)
@@ -304,12 +296,7 @@ class DAIRScene(DataSetScene):
     link_radius_m: float | None = None
 
     def __post_init__(self) -> None:
-        for name, value, highest in (("n_infrastructure", self.n_infrastructure, 1), ("n_mobile", self.n_mobile, 0)):
-            if value is not None and not 0 <= value <= highest:
-                raise ConfigurationError(
-                    f"DAIRScene: {name} is {value}, expected {'0' if highest == 0 else '0 or 1'}: "
-                    "the data has one car and one pole"
-                )
+        self.playing([VEHICLE], [INFRASTRUCTURE])
         self.check(max_time_difference_s=ABOVE_0, max_gap_s=ABOVE_0, match_radius_m=ABOVE_0, link_radius_m=ABOVE_0)
         _, named = split_path(self.root)
         if None not in (named, self.sequence) and named != str(self.sequence):
@@ -339,29 +326,24 @@ class DAIRScene(DataSetScene):
         car, pole = _poses(layout, pairs)
         truth = read_truth(layout, pairs, car, pole, times, self.match_radius_m, self.link_radius_m)
         truth, object_id = with_car(truth, car)
+        measured_ns = np.array([pair.infrastructure_time_ns for pair in pairs], np.int64)
+        ego = SceneAgent("ego", "mobile", object_id, _CAR_LIDAR, _CAMERA)
+        infra = SceneAgent("infra_1", "static", -1, _POLE_LIDAR, _CAMERA)
         paths = [
-            AgentPath(SceneAgent("ego", "mobile", object_id, _CAR_LIDAR, _CAMERA), car.position, car.rotation),
-            AgentPath(
-                SceneAgent("infra_1", "static", -1, _POLE_LIDAR, _CAMERA),
-                pole.position,
-                pole.rotation,
-                velocity=np.zeros_like(pole.position),
-                measured_ns=np.array([pair.infrastructure_time_ns for pair in pairs], np.int64),
-            ),
+            AgentPath(ego, *car),
+            AgentPath(infra, *pole, velocity=np.zeros_like(pole.position), measured_ns=measured_ns),
         ]
-        seen = [
-            replace(
-                path, points=listed_returns(truth.boxes, path, truth.seen[:, column], ~truth.known[:, column], frames)
-            )
-            for column, path in enumerate(paths if self.n_infrastructure != 0 else paths[:1])
-        ]
+        seen = []
+        for path, listed, known in zip(
+            paths[: 1 + (self.n_infrastructure != 0)], truth.seen.T, truth.known.T, strict=False
+        ):
+            seen.append(replace(path, points=listed_returns(truth.boxes, path, listed, ~known, frames)))
         name = f"{layout.root.name} {self._chosen() or ''}".strip()
         return assemble(name, times, truth.boxes, seen, self.detector, seed=seed, frames=frames)
 
     def _pairs(self, layout: Layout) -> list[Pair]:
         """The pairs of the requested frames, with times checked."""
-        first = -1 if self.first_frame is None else self.first_frame
-        last = _NO_LIMIT if self.last_frame is None else self.last_frame
+        first, last = self.first_frame or 0, math.inf if self.last_frame is None else self.last_frame
         pairs = read_pairs(layout, self._chosen())
         chosen = [pair for pair in pairs if first <= frame_number(pair.vehicle) <= last]
         if not chosen:
@@ -380,8 +362,4 @@ def _poses(layout: Layout, pairs: list[Pair]) -> tuple[Poses, Poses]:
     """Poses of the lidars of the car and of the pole."""
     car = [layout.vehicle_pose(pair) for pair in pairs]
     pole = [layout.infrastructure_pose(pair, rotation) for pair, (_, rotation) in zip(pairs, car, strict=True)]
-    of_car, of_pole = (
-        Poses(np.array([position for position, _ in poses]), np.array([rotation for _, rotation in poses]))
-        for poses in (car, pole)
-    )
-    return of_car, of_pole
+    return Poses(*map(np.array, zip(*car, strict=True))), Poses(*map(np.array, zip(*pole, strict=True)))

@@ -125,7 +125,6 @@ def read_transform(path: Path) -> tuple[Floats, Floats]:
 
 PAIRS = "cooperative/data_info.json"
 VEHICLE, INFRASTRUCTURE = "vehicle-side", "infrastructure-side"
-_MAX_PAIRS = 1_000_000
 _Time = Annotated[int, Meta(ge=0, le=9 * 10**15)]  # µs, so that nanoseconds fit into 64 bits
 _Offset = Annotated[float, Meta(ge=-1000, le=1000)]  # m
 _SHOWN = 10  # names of sequences in a message
@@ -219,8 +218,6 @@ def read_pairs(layout: Layout, sequence: str | None) -> list[Pair]:
     """
     file = layout.root / PAIRS
     entries = read_json(file).elements()
-    if not 1 <= len(entries) <= _MAX_PAIRS:
-        raise SceneError(f"{file}: found {len(entries)} pairs, expected 1 to {_MAX_PAIRS}")
     sides = {side: _side(layout.clocks(side)) for side in (VEHICLE, INFRASTRUCTURE)}
     groups: dict[str, dict[str, tuple[Pair, str]]] = {}
     for entry in entries:

@@ -135,8 +135,8 @@ MAX_COORDINATE_M = 1e8
 #: Types of values for `Element.read`, beside those of Python.
 Coordinate = Annotated[float, Meta(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
-_Side = Annotated[float, Meta(gt=0, le=MAX_SIZE_M)]
-Size = tuple[_Side, _Side, _Side]
+Side = Annotated[float, Meta(gt=0, le=MAX_SIZE_M)]
+Size = tuple[Side, Side, Side]
 Name = str | Annotated[int, Meta(ge=0, le=2**63 - 1)]
 _Row = tuple[Coordinate, Coordinate, Coordinate, Coordinate]
 

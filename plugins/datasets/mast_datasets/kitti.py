@@ -17,14 +17,12 @@ from mast_datasets.traffic import TrafficScene, classes_of, listed_returns
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.detection_tables import MAX_FILE_BYTES
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
 
-_MAX_ROWS = 1_000_000
-_MAX_CALIBRATION_BYTES = 1_000_000
-_MAX_FRAMES = 100_000
+#: Limit on a file, bytes, and on a calibration.
+_MAX_BYTES, _MAX_CALIBRATION_BYTES = 100_000_000, 1_000_000
 _MAX_COORDINATE_M = 1e5
 _MAX_SIZE_M = 100.0
 _EARTH_RADIUS_M = 6378137.0
@@ -87,10 +85,8 @@ def read_labels(path: Path, frames: int) -> Labels:
             raise SceneError(
                 f"{path}: line {number}: found {len(fields)} values, expected {len(_COLUMNS)}, or one more: a score"
             )
-        row = {
-            name: TextElement(text, path, f"line {number}: {name}")
-            for name, text in zip(_COLUMNS, fields, strict=False)
-        }
+        named = zip(_COLUMNS, fields, strict=False)
+        row = {name: TextElement(text, path, f"line {number}: {name}") for name, text in named}
         frame = row["frame"].integer(0, frames - 1)
         kind = row["type"].text((*CLASS_OF_TYPE, _NO_OBJECT))
         if kind == _NO_OBJECT:
@@ -99,8 +95,6 @@ def read_labels(path: Path, frames: int) -> Labels:
         if (frame, track) in seen:
             row["track"].fail(f"every track once in frame {frame}")
         seen.add((frame, track))
-        if len(rows) >= _MAX_ROWS:
-            raise SceneError(f"{path}: found more than {_MAX_ROWS} labels, expected at most as many")
         sizes = [row[name].positive(_MAX_SIZE_M) for name in ("length", "width", "height")]
         place = [row[name].number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M) for name in ("x", "y", "z")]
         occluded = row["occluded"].integer(-1, 3)
@@ -150,14 +144,10 @@ def read_poses(path: Path) -> tuple[Floats, Floats]:
             raise SceneError(f"{path}: line {len(rows) + 1}: found an empty line, expected the pose of a frame")
         if len(fields) != _OXTS_COLUMNS:
             raise SceneError(f"{path}: line {number}: found {len(fields)} values, expected {_OXTS_COLUMNS}")
+        named = zip(fields, _LIMITS.items(), strict=False)
         rows.append(
-            [
-                TextElement(text, path, f"line {number}: {name}").number(-limit, limit)
-                for text, (name, limit) in zip(fields, _LIMITS.items(), strict=False)
-            ]
+            [TextElement(text, path, f"line {number}: {name}").number(-limit, limit) for text, (name, limit) in named]
         )
-        if len(rows) > _MAX_FRAMES:
-            raise SceneError(f"{path}: found more than {_MAX_FRAMES} frames, expected at most as many")
     if not rows:
         raise SceneError(f"{path}: found no line, expected one for each frame")
     latitude, longitude, altitude, roll, pitch, yaw = np.array(rows).T
@@ -170,18 +160,14 @@ def read_poses(path: Path) -> tuple[Floats, Floats]:
 
 def _rotations(roll: Floats, pitch: Floats, yaw: Floats) -> Floats:
     """(F, 3, 3) active: about x by roll, then y by pitch, then z by yaw."""
-    zero, one = np.zeros(len(roll)), np.ones(len(roll))
-
-    def matrices(*rows: tuple[Floats, Floats, Floats]) -> Floats:
-        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-    x = matrices((one, zero, zero), (zero, np.cos(roll), -np.sin(roll)), (zero, np.sin(roll), np.cos(roll)))
-    y = matrices((np.cos(pitch), zero, np.sin(pitch)), (zero, one, zero), (-np.sin(pitch), zero, np.cos(pitch)))
-    z = matrices((np.cos(yaw), -np.sin(yaw), zero), (np.sin(yaw), np.cos(yaw), zero), (zero, zero, one))
-    return z @ y @ x
+    x, y, z = np.tile(np.eye(3), (3, len(roll), 1, 1))
+    for matrix, angle, (i, j) in ((x, roll, (1, 2)), (y, pitch, (2, 0)), (z, yaw, (0, 1))):
+        matrix[:, i, i] = matrix[:, j, j] = np.cos(angle)
+        matrix[:, j, i], matrix[:, i, j] = np.sin(angle), -np.sin(angle)
+    return np.asarray(z @ y @ x)
 
 
-def _rows(path: Path, max_bytes: int = MAX_FILE_BYTES) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path, max_bytes: int = _MAX_BYTES) -> Iterator[tuple[int, list[str]]]:
     """Number and values of each line that is not empty."""
     for number, line in enumerate(read_lines(path, max_bytes), start=1):
         if fields := line.split():
@@ -247,27 +233,22 @@ class KittiTracking(TrafficScene):
         position = position[window] - position[window.start] - [0.0, 0.0, ground]
         rotation = rotation[window]
         boxes, occluded = _boxes(labels, calibration, position, rotation, window, ground)
-        ego = AgentPath(
-            SceneAgent("ego", "mobile", 0, _lidar(calibration), Camera(mount_position=calibration.camera[1])),
-            position,
-            rotation,
-            ground=position[:, 2] + ground,
-        )
-        times_ns = np.arange(count) * _PERIOD_NS
-        name = f"kitti-{labels_file.stem}"
+        camera = Camera(mount_position=calibration.camera[1])
+        agent = SceneAgent("ego", "mobile", 0, _lidar(calibration), camera)
+        ego = AgentPath(agent, position, rotation, ground=position[:, 2] + ground)
         visible = (occluded >= 0) & (occluded <= _MAX_OCCLUSION)
         ego = replace(ego, points=listed_returns(boxes, ego, visible, ~visible, frames))
-        paths = self.agents(boxes, ego, labels_file)
+        paths, times_ns = self.agents(boxes, ego, labels_file), np.arange(count) * _PERIOD_NS
+        name = f"kitti-{labels_file.stem}"
         return assemble(name, times_ns, boxes, paths, self.detector, seed=seed, frames=frames)
 
-    def _find(self) -> tuple[Path, Path, Path]:
+    def _find(self) -> list[Path]:
         """Files of labels, calibration and positions of the sequence."""
         folder = self.root / _FILES[0]
         if not folder.is_dir():
             raise SceneError(f"{self.root}: found no folder {_FILES[0]}, expected {', '.join(_FILES)} in it")
         sequence = choose_name(folder, "sequence", (file.stem for file in folder.glob("*.txt")), self.sequence)
-        labels, calibration, poses = (self.root / kind / f"{sequence}.txt" for kind in _FILES)
-        return labels, calibration, poses
+        return [self.root / kind / f"{sequence}.txt" for kind in _FILES]
 
     def _window(self, frames: int, file: Path) -> slice:
         last = frames - 1 if self.last_frame is None else self.last_frame

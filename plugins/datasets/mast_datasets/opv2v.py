@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -42,46 +42,51 @@ _MAX_MOUNT_ERROR_M = 0.5  # between a lidar's place on its car in two frames
 _MAX_POLE_STEP_M = 1.0  # of a pole, which does not move
 _CAMERA_BELOW_LIDAR_M = 0.2
 
+#: Lidar returns (N,) of each box, by the column of an agent, its path, and how many frames are wanted.
+PointsOf = Callable[[int, AgentPath, int | None], NDArray[np.int32] | None]
 
-def agent_path(
-    agents: Sequence[AgentFolder],
-    column: int,
-    playing: Sequence[int],
-    poses: Poses,
-    cars: Mapping[int, OwnCar],
-    variant: Variant,
-    frames: Sequence[int],
-) -> AgentPath:
-    """The path of an agent and its sensors, without what it sees.
 
-    column: of the agent; playing: columns of the agents that play, the ego first; cars: by column; frames: numbers
+@dataclass(frozen=True, eq=False)
+class Playing:
+    """What is played of a scenario.
 
-    Raises SceneError for a pole that moves and for a lidar that moves on its car.
+    agents: of the scenario;  columns: of those that play, the ego first, then other cars, then poles
+    numbers: of the frames;  poses: of the agents;  boxes: of all objects;  cars: of agents, by column
     """
-    folder, position, rotation = agents[column].folder, poses.position[:, column], poses.rotation[:, column]
-    same_kind = [k for k in playing if agents[k].is_pole == agents[column].is_pole]
-    if agents[column].is_pole:
-        step = np.linalg.norm(position - position[0], axis=1).max()
-        if step > _MAX_POLE_STEP_M:
-            raise SceneError(f"{folder}: the pole moves {step:.2f} m, expected at most {_MAX_POLE_STEP_M:g} m")
-        name = f"infra_{same_kind.index(column) + 1}"
-        return AgentPath(
-            SceneAgent(name, "static", -1, variant.pole, Camera(mount_position=np.zeros(3))), position, rotation
-        )
-    mounts = np.einsum("fji,fj->fi", rotation, poses.lidar[:, column] - position)
-    mount = np.median(mounts, axis=0)
-    apart = np.linalg.norm(mounts - mount, axis=1)
-    if apart.max() > _MAX_MOUNT_ERROR_M:
-        file = agents[column].file(frames[int(apart.argmax())])
-        raise SceneError(
-            f"{file}: lidar_pose is {apart.max():.2f} m from where the lidar is on the car in other frames, "
-            f"expected at most {_MAX_MOUNT_ERROR_M:g} m"
-        )
-    order = same_kind.index(column)
-    camera = Camera(mount_position=mount - [0.0, 0.0, _CAMERA_BELOW_LIDAR_M])
-    sensor = replace(variant.car, mount_position=mount)
-    agent = SceneAgent("ego" if order == 0 else f"mobile_{order}", "mobile", cars[column].object_id, sensor, camera)
-    return AgentPath(agent, position, rotation)
+
+    agents: Sequence[AgentFolder]
+    columns: Sequence[int]
+    numbers: Sequence[int]
+    poses: Poses
+    boxes: SceneBoxes
+    cars: Mapping[int, OwnCar]
+
+    def path(self, column: int, variant: Variant) -> AgentPath:
+        """The path of an agent and its sensors, without what it sees.
+
+        Raises SceneError for a pole that moves and for a lidar that moves on its car.
+        """
+        agent, position, rotation = self.agents[column], self.poses.position[:, column], self.poses.rotation[:, column]
+        order = [k for k in self.columns if self.agents[k].is_pole == agent.is_pole].index(column)
+        if agent.is_pole:
+            step = np.linalg.norm(position - position[0], axis=1).max()
+            if step > _MAX_POLE_STEP_M:
+                expected = f"expected at most {_MAX_POLE_STEP_M:g} m"
+                raise SceneError(f"{agent.folder}: the pole moves {step:.2f} m, {expected}")
+            camera = Camera(mount_position=np.zeros(3))
+            return AgentPath(SceneAgent(f"infra_{order + 1}", "static", -1, variant.pole, camera), position, rotation)
+        mounts = np.einsum("fji,fj->fi", rotation, self.poses.lidar[:, column] - position)
+        mount = np.median(mounts, axis=0)
+        apart = np.linalg.norm(mounts - mount, axis=1)
+        if apart.max() > _MAX_MOUNT_ERROR_M:
+            raise SceneError(
+                f"{agent.file(self.numbers[int(apart.argmax())])}: lidar_pose is {apart.max():.2f} m from where the "
+                f"lidar is on the car in other frames, expected at most {_MAX_MOUNT_ERROR_M:g} m"
+            )
+        camera = Camera(mount_position=mount - [0.0, 0.0, _CAMERA_BELOW_LIDAR_M])
+        name, sensor = f"mobile_{order}" if order else "ego", replace(variant.car, mount_position=mount)
+        described = SceneAgent(name, "mobile", self.cars[column].object_id, sensor, camera)
+        return AgentPath(described, position, rotation)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -103,12 +108,28 @@ class ScenarioFolder(DataSetScene):
     def __post_init__(self) -> None:
         self.check(rate_hz=(0.01, 1000.0))
 
-    @abstractmethod
-    def record(self, seed: int, frames: int | None) -> Recording: ...
+    def _variant(self) -> Variant:
+        return self.variant
 
-    def _times(self, frames: Sequence[int]) -> Ints:
-        """(F,) ns of the frames."""
-        return np.round(np.arange(len(frames)) * 1e9 / self.rate_hz).astype(np.int64)
+    @abstractmethod
+    def _read(self, folder: Path, agents: list[AgentFolder], numbers: Sequence[int]) -> tuple[Playing, PointsOf]:
+        """What is played, and how the lidar returns (N,) of each box follow from a column and its path.
+
+        agents: the ego first; numbers: of the frames
+        """
+
+    def record(self, seed: int, frames: int | None) -> Recording:
+        folder, agents = find_scenario(self.root)
+        agents = self._ego_first(folder, agents)
+        numbers = choose_frames(agents[0], self.first_frame, self.last_frame)
+        playing, points_of = self._read(folder, agents, numbers)
+        times = np.round(np.arange(len(numbers)) * 1e9 / self.rate_hz).astype(np.int64)
+        check_ids_last(playing.boxes, times, lambda frame: agents[0].file(numbers[frame]))
+        paths = []
+        for column in playing.columns:
+            path = playing.path(column, self._variant())
+            paths.append(replace(path, points=points_of(column, path, frames)))
+        return assemble(folder.name, times, playing.boxes, paths, self.detector, seed=seed, frames=frames)
 
     def _ego_first(self, folder: Path, agents: list[AgentFolder]) -> list[AgentFolder]:
         """The ego, then the other cars, then the poles."""
@@ -143,24 +164,22 @@ class OPV2VScene(ScenarioFolder):
 
     variant = OPV2V
 
-    def record(self, seed: int, frames: int | None) -> Recording:
-        folder, agents = find_scenario(self.root)
-        agents = self._ego_first(folder, agents)
-        numbers = choose_frames(agents[0], self.first_frame, self.last_frame)
+    def _read(self, folder: Path, agents: list[AgentFolder], numbers: Sequence[int]) -> tuple[Playing, PointsOf]:
         check_frames(agents, numbers)
-        playing = self._playing(agents)
-        poses, listed = _read(agents, numbers, self._variant())
-        boxes, seen, cars = self._traffic(agents, numbers, poses, listed)
-        times = self._times(numbers)
-        check_ids_last(boxes, times, lambda frame: agents[0].file(numbers[frame]))
-        paths = []
-        for column in playing:
-            path = agent_path(agents, column, playing, poses, cars, self._variant(), numbers)
-            paths.append(replace(path, points=listed_returns(boxes, path, seen[:, column], frames=frames)))
-        return assemble(folder.name, times, boxes, paths, self.detector, seed=seed, frames=frames)
+        columns, variant = self._playing(agents), self._variant()
+        labels, rows = [], []
+        for frame, number in enumerate(numbers):
+            contents = [read_yaml(agent.file(number)) for agent in agents]
+            now = [read_pose(each, variant, agent.is_pole) for each, agent in zip(contents, agents, strict=True)]
+            labels.append([read_labels(each, variant, pose, frame) for each, pose in zip(contents, now, strict=True)])
+            rows.append(now)
+        poses = joined_poses(rows)
+        boxes, seen, cars = self._traffic(agents, numbers, poses, Listed.of(labels))
 
-    def _variant(self) -> Variant:
-        return self.variant
+        def points_of(column: int, path: AgentPath, frames: int | None) -> NDArray[np.int32]:
+            return listed_returns(boxes, path, seen[:, column], frames=frames)
+
+        return Playing(agents, columns, numbers, poses, boxes, cars), points_of
 
     def _traffic(
         self, agents: Sequence[AgentFolder], numbers: Sequence[int], poses: Poses, listed: Listed
@@ -221,18 +240,6 @@ class V2V4RealScene(OPV2VScene):
     variant = V2V4REAL
 
 
-def _read(agents: Sequence[AgentFolder], numbers: Sequence[int], variant: Variant) -> tuple[Poses, Listed]:
-    """The poses of the agents, and what they list, for each frame."""
-    labels = []
-    poses = []
-    for frame, number in enumerate(numbers):
-        contents = [read_yaml(agent.file(number)) for agent in agents]
-        now = [read_pose(each, variant, agent.is_pole) for each, agent in zip(contents, agents, strict=True)]
-        labels.append([read_labels(each, variant, pose, frame) for each, pose in zip(contents, now, strict=True)])
-        poses.append(now)
-    return joined_poses(poses), Listed.of(labels)
-
-
 class MultiV2XScene(ScenarioFolder):
     """A town of Multi-V2X, simulated in CARLA and SUMO. See docs/scenes_opv2v.md.
 
@@ -249,13 +256,9 @@ class MultiV2XScene(ScenarioFolder):
 
     variant = MULTI_V2X
 
-    def record(self, seed: int, frames: int | None) -> Recording:
-        folder, agents = find_scenario(self.root)
-        agents = self._ego_first(folder, agents)
-        numbers = choose_frames(agents[0], self.first_frame, self.last_frame)
+    def _read(self, folder: Path, agents: list[AgentFolder], numbers: Sequence[int]) -> tuple[Playing, PointsOf]:
         agents = self._nearest_first([agent for agent in agents if agent.covers(numbers)], numbers[0])
-        playing = self._playing(agents)
-        agents, playing = [agents[column] for column in playing], list(range(len(playing)))
+        agents = [agents[column] for column in self._playing(agents)]
         check_frames(agents, numbers)
         poses = joined_poses([[self._pose(agent, number) for agent in agents] for number in numbers])
         cars = {
@@ -264,14 +267,11 @@ class MultiV2XScene(ScenarioFolder):
             if not agent.is_pole
         }
         boxes = self._boxes(folder, numbers, list(cars.values()))
-        times = self._times(numbers)
-        check_ids_last(boxes, times, lambda frame: agents[0].file(numbers[frame]))
-        paths = []
-        for column in playing:
-            path = agent_path(agents, column, playing, poses, cars, self.variant, numbers)
-            points = _view_points(agents[column], numbers, boxes, path.agent.object_id)
-            paths.append(replace(path, points=points))
-        return assemble(folder.name, times, boxes, paths, self.detector, seed=seed, frames=frames)
+
+        def points_of(column: int, path: AgentPath, _: int | None) -> NDArray[np.int32] | None:
+            return _view_points(agents[column], numbers, boxes, path.agent.object_id)
+
+        return Playing(agents, range(len(agents)), numbers, poses, boxes, cars), points_of
 
     def _pose(self, agent: AgentFolder, number: int) -> Poses:
         return read_pose(read_yaml(agent.file(number)), self.variant, agent.is_pole)

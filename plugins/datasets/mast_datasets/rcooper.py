@@ -24,7 +24,6 @@ from mast_zenoh.sensing import Camera, LidarSensor
 _COOPERATIVE = "coop"
 _CALIBRATION = "calib/lidar2world"
 _TIME = re.compile(r"([0-9]{1,10})(?:\.([0-9]{1,9}))?", re.ASCII)
-_MAX_FRAMES = 100_000
 _LIDAR = LidarSensor(
     mount_position=np.zeros(3), elevation_min_deg=-40.0, elevation_max_deg=15.0, channels=80, max_range_m=200.0
 )
@@ -61,8 +60,6 @@ class RCooperScene(DataSetScene):
     match_radius_m: float = 2.0
 
     def __post_init__(self) -> None:
-        if self.n_mobile:
-            raise ConfigurationError(f"RCooperScene: n_mobile is {self.n_mobile}, expected 0: the data has only poles")
         self.check(max_time_difference_s=ABOVE_0, max_gap_s=ABOVE_0, match_radius_m=ABOVE_0)
         for name, expected in zip(("site", "sequence"), _split_path(self.root)[1:], strict=True):
             value = getattr(self, name)
@@ -124,15 +121,9 @@ class RCooperScene(DataSetScene):
                 raise SceneError(f"{folder / name}: no such folder, expected one for every pole and coop")
         if len(set(agents)) != len(agents) or len(agents) < 2:
             raise SceneError(f"{folder}: found agents {', '.join(agents)}, expected at least two different ones")
-        others = len(agents) - 1
-        if self.n_infrastructure is not None and not 0 <= self.n_infrastructure <= others:
-            raise ConfigurationError(
-                f"{self.path}: n_infrastructure is {self.n_infrastructure}, expected 0 to {others}: "
-                f"the site has {others} poles besides the ego"
-            )
-        count = others if self.n_infrastructure is None else self.n_infrastructure
+        _, others = self.playing(agents[:1], agents[1:], "poles besides the ego")
         sequence = _chosen(folder / _COOPERATIVE, "sequence", self.sequence or sequence)
-        return folder, agents[: 1 + count], sequence
+        return folder, [agents[0], *others], sequence
 
     def _frames(self, folder: Path, count: int | None = None) -> tuple[Ints, list[Path]]:
         """Times (F,) ns and label files of a sequence, in the order of their times.
@@ -140,8 +131,8 @@ class RCooperScene(DataSetScene):
         count: how many are expected
         """
         files = entries(folder)
-        if not 1 <= len(files) <= _MAX_FRAMES:
-            raise SceneError(f"{folder}: found {len(files)} frames, expected 1 to {_MAX_FRAMES}")
+        if not files:
+            raise SceneError(f"{folder}: found no frames, expected at least one")
         if count is not None and len(files) != count:
             raise SceneError(f"{folder}: found {len(files)} frames, expected {count} as in {_COOPERATIVE}")
         moments = sorted((_time(file), file) for file in files)

@@ -71,8 +71,7 @@ class RosBag(DataSetScene):
                 )
             bag_map = parse_map(self.topics, place) if isinstance(self.topics, Mapping) else read_map(place)
             readers = rosbag_reading.read_topics(bag, bag_map, place)
-        part = rosbag_recording.Part(self.start_s, self.duration_s)
-        return rosbag_recording.BagScene(self, path, part, bag_map, readers).recording(seed, frames)
+        return rosbag_recording.BagScene(self, path, bag_map, readers).recording(seed, frames)
 
     def _files(self) -> tuple[Path, Path | None]:
         """The bag, and the file with the map; None: the map is given, or there is none."""

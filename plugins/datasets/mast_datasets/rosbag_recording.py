@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from mast_datasets.rosbag_reading import (
     TopicReader,
     TrueObject,
 )
-from mast_datasets.traffic import MAX_BOXES, DataSetScene
+from mast_datasets.traffic import MAX_BOXES
 from mast_zenoh.arrays.geometry import heading, to_world, wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -28,6 +28,9 @@ from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.making.sensor_types import SensorSchedule
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Measurements, Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor, sensor_pose, to_sensor
+
+if TYPE_CHECKING:
+    from mast_datasets.rosbag import RosBag
 
 _MAX_FRAMES = 200_000
 _LEVEL = 1e-3  # cosine of the tilt of a sensor that looks straight down or up: yaws about its axis say nothing
@@ -43,13 +46,6 @@ class _Rows:
     truth_id: Ints
 
 
-class Part(NamedTuple):
-    """Which part of a bag is played, s after all agents have a pose; duration_s None: to the end"""
-
-    start_s: float
-    duration_s: float | None
-
-
 class BagScene:
     """What was read of a bag, on the frames of a scene.
 
@@ -58,9 +54,7 @@ class BagScene:
     Raises SceneError and ConfigurationError, as `Scene.record` does.
     """
 
-    def __init__(
-        self, scene: DataSetScene, path: Path, part: Part, bag_map: BagMap, readers: Mapping[Source, TopicReader[Any]]
-    ) -> None:
+    def __init__(self, scene: RosBag, path: Path, bag_map: BagMap, readers: Mapping[Source, TopicReader[Any]]) -> None:
         self._path, self._detector, self._map = path, scene.detector, bag_map
         self._tracks: dict[Source, PoseTrack] = {}
         self._measured: dict[Source, Measured] = {}
@@ -81,7 +75,7 @@ class BagScene:
         moving = [ego, *(name for name in others if not agents[name].fixed)]
         playing = scene.playing(moving, [name for name in others if agents[name].fixed], "agents that never move")
         self._agents = {name: agent for name, agent in agents.items() if any(name in names for names in playing)}
-        self._times_ns = self._frames(part)
+        self._times_ns = self._frames(scene.start_s, scene.duration_s)
 
     def recording(self, seed: int, frames: int | None) -> Recording:
         """The recording of the first `frames` frames; None: of all. seed: of generated detections"""
@@ -90,7 +84,7 @@ class BagScene:
         generated = assemble(self._path.name, self._times_ns, boxes, paths, self._detector, seed=seed, frames=frames)
         return replace(self._with_detections(generated), notes=tuple(self.notes))
 
-    def _frames(self, part: Part) -> Ints:
+    def _frames(self, start_s: float, duration_s: float | None) -> Ints:
         """(F,) ns, the times of the frames of a part of the time in which all agents of the map have a pose."""
         agents = self._map.agents.items()
         moving = {name: self._tracks[agent.pose].times_ns for name, agent in agents if not agent.fixed}
@@ -109,13 +103,11 @@ class BagScene:
         ):
             if gap_ns > self._map.period_ns:
                 self.notes.append(f"frames {what} with the poses of {who}, {gap_ns / 1e9:.3f} s {when} those of others")
-        if part.start_s > (last - first) / 1e9:
-            raise ConfigurationError(
-                f"{self._path}: start_s is {part.start_s:g}, expected 0 to {(last - first) / 1e9:g}"
-            )
-        begin = first + round(part.start_s * 1e9)
-        if part.duration_s is not None and part.duration_s <= (last - begin) / 1e9:
-            last = begin + round(part.duration_s * 1e9)
+        if start_s > (last - first) / 1e9:
+            raise ConfigurationError(f"{self._path}: start_s is {start_s:g}, expected 0 to {(last - first) / 1e9:g}")
+        begin = first + round(start_s * 1e9)
+        if duration_s is not None and duration_s <= (last - begin) / 1e9:
+            last = begin + round(duration_s * 1e9)
         count = (last - begin) // self._map.period_ns + 1
         if count > _MAX_FRAMES:
             raise SceneError(

@@ -24,7 +24,6 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, McapReader
 
-from mast_datasets.files import Element
 from mast_datasets.opv2v_yaml import read_yaml
 from mast_zenoh.errors import SceneError
 
@@ -203,15 +202,8 @@ def _listed_files(path: Path) -> tuple[list[Path], str]:
         mode.fail("none, file or message")
     if how in ("file", "message"):
         information["compression_format"].text(("zstd",))
-    return [_plain(path / _name(name)) for name in names], how
-
-
-def _name(element: Element) -> str:
-    """The name of a file of a bag; old versions write the folder before it."""
-    parts = PurePosixPath(element.text()).parts
-    if not 0 < len(parts) <= 2 or ".." in parts or parts[0] == "/" or "\0" in parts[-1]:
-        element.fail("the name of a file in the folder of the bag")
-    return parts[-1]
+    # Old versions write the folder before a name.
+    return [_plain(path / PurePosixPath(name.text().replace("\0", "")).name) for name in names], how
 
 
 def _plain(path: Path) -> Path:

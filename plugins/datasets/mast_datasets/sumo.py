@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from mast_datasets.files import find_file
+from mast_datasets.files import Element, find_file
 from mast_datasets.sumo_files import (
-    MAX_SIZE_M,
     VEHICLE_CLASSES,
     Row,
     VehicleType,
@@ -30,10 +29,7 @@ from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
 from mast_zenoh.scenes.recording import Recording
 
 _MAX_ROWS = 2_000_000
-_MAX_COORDINATE_M = 1e8
-_MAX_SPEED = 200.0
 _MAX_TIME_S = 1e9
-_MAX_ID = 200  # characters
 _LONGEST_DEFAULT_S = 20.0
 _GAP = 1.5  # a step of time longer than this many times the shortest is a gap
 _NS = 1_000_000_000
@@ -142,57 +138,42 @@ class _Rows:
         self._rows: list[tuple[int, str, tuple[float, float, float], float, float, VehicleType, bool]] = []
         self._has_heights = False
 
-    def add(self, frame: int, rows: Iterator[tuple[bool, Row]]) -> None:
+    def add(self, frame: int, listed: list[tuple[bool, Element]]) -> None:
         """Add the rows of a frame, without those of persons in a vehicle."""
         seen: set[str] = set()
-        listed = list(rows)
-        vehicles = {_motion(row) for person, row in listed if not person}
-        for person, row in listed:
-            ride = row.get("vehicle")
-            if person and ((ride is not None and ride.value) or _motion(row) in vehicles):
+        rows: list[tuple[bool, Element, Row]] = [(person, element, element.read(Row)) for person, element in listed]
+        # SUMO gives the position, angle and speed of their vehicle to persons in it.
+        vehicles = {(row.x, row.y, row.angle, row.speed) for person, _, row in rows if not person}
+        for person, element, row in rows:
+            if person and (row.vehicle or (row.x, row.y, row.angle, row.speed) in vehicles):
                 continue
-            name = row["id"]
-            if not 0 < len(name.text()) <= _MAX_ID:
-                name.fail(f"an id of 1 to {_MAX_ID} characters")
-            unique = ("person:" if person else "") + name.value
-            if unique in seen:
-                name.fail("every id once at a time")
-            seen.add(unique)
+            name = ("person:" if person else "") + row.id
+            if name in seen:
+                element.fail("every id once at a time")
+            seen.add(name)
+            self._has_heights = self._has_heights if self._rows else row.z is not None
+            if self._has_heights != (row.z is not None):
+                element.fail("z for all objects, or for none")
             if len(self._rows) >= _MAX_ROWS:
-                raise SceneError(
-                    f"{self._file}: found more than {_MAX_ROWS} rows in the window, expected at most as many; "
-                    "choose a shorter duration_s"
-                )
-            x, y = (row[axis].number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M) for axis in ("x", "y"))
-            z = self._height(row)
-            speed = row["speed"].number(-_MAX_SPEED, _MAX_SPEED) if "speed" in row else np.nan
-            angle = row["angle"].number(-360.0, 720.0)
-            yaw = float(np.radians(90.0 - angle))
-            self._rows.append((frame, unique, (x, y, z), yaw, speed, self._kind(person, row), person))
+                most = f"expected at most {_MAX_ROWS}; choose a shorter duration_s"
+                raise SceneError(f"{self._file}: found more rows in the window, {most}")
+            speed = np.nan if row.speed is None else row.speed
+            place, yaw = (row.x, row.y, row.z or 0.0), float(np.radians(90.0 - row.angle))
+            self._rows.append((frame, name, place, yaw, speed, self._kind(person, element, row), person))
 
-    def _height(self, row: Row) -> float:
-        """Height m of the road: 0 in a network without heights."""
-        if not self._rows:
-            self._has_heights = "z" in row
-        if self._has_heights:
-            return row["z"].number(-1e5, 1e5)
-        if "z" in row:
-            row["z"].fail("z for all objects, or for none")
-        return 0.0
-
-    def _kind(self, person: bool, row: Row) -> VehicleType:
-        if person and "type" not in row:
-            return type_of_class("pedestrian")
-        name = row["type"]
-        if "length" in row and name.value in VEHICLE_CLASSES:
-            self._known[name.value] = type_of_class(name.value)
-        if name.value not in self._known:
-            self._known[name.value] = self._types.find(name)
-        kind = self._known[name.value]
-        if "length" not in row:
+    def _kind(self, person: bool, element: Element, row: Row) -> VehicleType:
+        if row.type is None:
+            return type_of_class("pedestrian") if person else element.fail("a type")
+        if row.length is not None and row.type in VEHICLE_CLASSES:
+            self._known[row.type] = type_of_class(row.type)
+        if row.type not in self._known:
+            self._known[row.type] = self._types.find(element, row.type)
+        kind = self._known[row.type]
+        if row.length is None:
             return kind
-        length, width, height = (row[part].positive(MAX_SIZE_M) for part in ("length", "width", "height"))
-        return VehicleType((length, width, height), kind.class_id)
+        if row.width is None or row.height is None:
+            element.fail("a width and a height beside the length")
+        return VehicleType((row.length, row.width, row.height), kind.class_id)
 
     def trace(self, times_ns: Ints) -> Trace:
         """All rows."""
@@ -209,11 +190,6 @@ class _Rows:
             types=list(types),
             person=np.array(person, bool),
         )
-
-
-def _motion(row: Row) -> tuple[str, ...]:
-    """Position, angle and speed as they are written: SUMO gives those of their vehicle to persons in it."""
-    return tuple(row[name].value if name in row else "" for name in ("x", "y", "angle", "speed"))
 
 
 _SUFFIXES = (".xml", ".xml.gz", ".csv", ".csv.gz")

@@ -7,12 +7,15 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby, islice
+from itertools import groupby
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta, Struct
 
-from mast_datasets.files import TextElement, read_lines
+from mast_datasets.files import Coordinate, Element, TextElement, read_lines
+from mast_datasets.traffic import closed_outline
 from mast_datasets.xml_files import XmlElement, read_xml
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError
@@ -20,37 +23,63 @@ from mast_zenoh.errors import SceneError
 #: Columns of tables without prefixes, by SUMO's names of attributes.
 _ALIASES = {
     "time": ("time", "t"),
-    "id": ("id",),
     "type": ("type", "class"),
     "x": ("x", "x_front"),
     "y": ("y", "y_front"),
     "z": ("z", "z_front"),
     "angle": ("angle", "heading_deg_cw_from_north"),
-    "speed": ("speed",),
-    "length": ("length",),
-    "width": ("width",),
-    "height": ("height",),
-    "vehicle": ("vehicle",),
+    **{name: (name,) for name in ("id", "speed", "length", "width", "height", "vehicle")},
 }
 _TIME = "timestep_time"
-_PREFIXES = ("vehicle_", "person_")
 
-#: Values of one object by SUMO's names; looking up one that is missing raises SceneError.
-Row = Mapping[str, TextElement]
-#: A time, and for each object whether it is a person, and its values.
-Step = tuple[TextElement, Iterator[tuple[bool, Row]]]
+MAX_SIZE_M = 1000.0
+_Side = Annotated[float, Meta(gt=0, le=MAX_SIZE_M)] | None
 
 
-def csv_rows(file: Path) -> Iterator[tuple[TextElement, bool, Row]]:
+class Row(Struct):
+    """What a trace says of one object at one time, by SUMO's names; angle: degrees clockwise from north."""
+
+    id: Annotated[str, Meta(min_length=1, max_length=200)]
+    x: Coordinate
+    y: Coordinate
+    angle: Annotated[float, Meta(ge=-360, le=720)]
+    z: Annotated[float, Meta(ge=-1e5, le=1e5)] | None = None
+    speed: Annotated[float, Meta(ge=-200, le=200)] | None = None
+    type: str | None = None
+    vehicle: str = ""
+    length: _Side = None
+    width: _Side = None
+    height: _Side = None
+
+
+#: A time, and for each object whether it is a person, and what can be read as a `Row`.
+Step = tuple[TextElement, list[tuple[bool, Element]]]
+
+
+def read_steps(file: Path) -> Iterator[Step]:
+    """The time steps of a trace, in the order of the file. Raises SceneError with file, line and reason."""
+    if file.name.removesuffix(".gz").endswith(".csv"):
+        for _, group in groupby(_csv_rows(file), key=lambda row: row[0].value):
+            first, *more = group
+            yield first[0], [(person, row) for _, person, row in (first, *more) if row.value]
+        return
+    for step in read_xml(file, "fcd-export", ("timestep",)):
+        if step.tag == "timestep":
+            parts = [part for part in step.children if part.tag in ("vehicle", "person")]
+            rows = [(part.tag == "person", Element(part.attributes, file, part.place)) for part in parts]
+            yield step.attribute("time"), rows
+
+
+def _csv_rows(file: Path) -> Iterator[tuple[TextElement, bool, Element]]:
     """Time, whether it is a person, and the values by SUMO's names, of each row of a table.
 
     The columns are those of SUMO's tool xml2csv (timestep_time, vehicle_id, vehicle_x, …), or the same without
-    prefixes. Rows of times without objects have no values. Raises SceneError with file, line and reason.
+    prefixes. Rows of times without objects have no values.
     """
     lines = read_lines(file)
     header = next(lines, "")
     delimiter = ";" if ";" in header else ","
-    reader = csv.reader(lines, delimiter=delimiter, strict=True)
+    reader = csv.reader(lines, delimiter=delimiter, strict=True, skipinitialspace=True)
     names = [name.strip() for name in header.split(delimiter)]
     groups = _columns(names, file)
     time = groups[0][1]["time"]
@@ -58,39 +87,26 @@ def csv_rows(file: Path) -> Iterator[tuple[TextElement, bool, Row]]:
         for number, fields in enumerate(reader, start=2):
             if len(fields) != len(names):
                 raise SceneError(f"{file}: line {number}: found {len(fields)} fields, expected {len(names)}")
-            now = TextElement(fields[time], file, f"line {number}: {names[time]}")
-            present = next((group for group in groups if fields[group[1]["id"]]), None)
-            if present is None:
-                yield now, False, {}
-                continue
-            values = {
-                name: TextElement(fields[column], file, f"line {number}: {names[column]}")
-                for name, column in present[1].items()
-                if name != "time" and fields[column]
-            }
-            yield now, present[0], _Row(values, f"{file}: line {number}: column")
+            row = dict(zip(names, fields, strict=True))
+            person, columns = next((group for group in groups if row[group[1]["id"]]), (False, {}))
+            values = {name: row[column].strip() for name, column in columns.items() if row[column].strip()}
+            now = TextElement(row[time], file, f"line {number}: {time}")
+            yield now, person, Element(values, file, f"line {number}")
     except csv.Error as error:
         raise SceneError(f"{file}: line {reader.line_num + 1}: not CSV: {error}") from error
 
 
-def _columns(names: list[str], file: Path) -> list[tuple[bool, dict[str, int]]]:
+def _columns(names: list[str], file: Path) -> list[tuple[bool, dict[str, str]]]:
     """For vehicles and for persons, the column of each value."""
     repeated = next((name for name, count in Counter(names).items() if count > 1), None)
     if repeated is not None:
         raise SceneError(f"{file}: line 1: found column {repeated!r} twice, expected it once")
-    column = {name: index for index, name in enumerate(names)}
-    groups: list[tuple[bool, dict[str, int]]] = []
-    if _TIME in column:
-        for prefix in _PREFIXES:
-            group = {name: column[prefix + name] for name in _ALIASES if prefix + name in column}
-            if "id" in group:
-                groups.append((prefix == "person_", {"time": column[_TIME]} | group))
-    else:
-        group = {
-            name: column[alias] for name, aliases in _ALIASES.items() for alias in reversed(aliases) if alias in column
-        }
-        if "id" in group and "time" in group:
-            groups.append((False, group))
+    groups: list[tuple[bool, dict[str, str]]] = []
+    for prefix in ("vehicle_", "person_") if _TIME in names else ("",):
+        aliases = _ALIASES if not prefix else {name: (prefix + name,) for name in _ALIASES} | {"time": (_TIME,)}
+        found = {name: [alias for alias in known if alias in names] for name, known in aliases.items()}
+        if found["id"] and found["time"]:
+            groups.append((prefix == "person_", {name: columns[0] for name, columns in found.items() if columns}))
     if not groups:
         raise SceneError(
             f"{file}: line 1: found the columns {', '.join(names[:12])}, expected a time and an id: "
@@ -99,50 +115,6 @@ def _columns(names: list[str], file: Path) -> list[tuple[bool, dict[str, int]]]:
     return groups
 
 
-_MAX_NAMES = 12  # in a message
-_MAX_OBJECTS = 100_000  # at one time
-
-
-def read_steps(file: Path) -> Iterator[Step]:
-    """The time steps of a trace, in the order of the file. Raises SceneError with file, line and reason."""
-    return _csv_steps(file) if file.name.removesuffix(".gz").endswith(".csv") else _xml_steps(file)
-
-
-def _xml_steps(file: Path) -> Iterator[Step]:
-    for step in read_xml(file, "fcd-export", ("timestep",)):
-        if step.tag == "timestep":
-            parts = (part for part in step.children if part.tag in ("vehicle", "person"))
-            yield step.attribute("time"), ((part.tag == "person", _xml_row(part)) for part in parts)
-
-
-def _xml_row(part: XmlElement) -> Row:
-    values = {name: part.attribute(name) for name in part.attributes}
-    return _Row(values, f"{part.path}: {part.place}: attribute")
-
-
-def _csv_steps(file: Path) -> Iterator[Step]:
-    """The rows of a table, grouped by equal times."""
-    for _, group in groupby(csv_rows(file), key=lambda row: row[0].value):
-        rows = list(islice(group, _MAX_OBJECTS + 1))
-        time = rows[0][0]
-        if len(rows) > _MAX_OBJECTS:
-            time.fail(f"at most {_MAX_OBJECTS} objects at one time")
-        yield time, ((person, row) for _, person, row in rows if row)
-
-
-class _Row(dict[str, TextElement]):
-    """Values by name; a missing one is refused. place: for the message."""
-
-    def __init__(self, values: Mapping[str, TextElement], place: str) -> None:
-        super().__init__(values)
-        self._place = place
-
-    def __missing__(self, name: str) -> TextElement:
-        raise SceneError(f"{self._place} {name} is missing; found {', '.join(list(self)[:_MAX_NAMES]) or 'none'}")
-
-
-MAX_SIZE_M = 1000.0
-_MAX_TYPES = 100_000
 _DEFAULT_CLASS = "passenger"
 #: Default length, width and height m of vehicle classes ("Vehicle Type Parameter Defaults" in SUMO's documentation),
 #: and the class of objects. Classes that are not here have the size of passenger cars.
@@ -201,9 +173,9 @@ class VehicleTypes:
         self._files = files
         self._defined: dict[str, VehicleType] | None = None
 
-    def find(self, name: TextElement) -> VehicleType:
-        """The type that a trace names. Raises SceneError if it is not defined."""
-        base = name.text().partition("@")[0]  # a vehicle with parameters of its own has the type "type@vehicle"
+    def find(self, row: Element, name: str) -> VehicleType:
+        """The type that a row of a trace names. Raises SceneError if it is not defined."""
+        base = name.partition("@")[0]  # a vehicle with parameters of its own has the type "type@vehicle"
         if base in _BUILT_IN:
             return type_of_class(_BUILT_IN[base])
         if self._defined is None:
@@ -213,7 +185,9 @@ class VehicleTypes:
         if base in VEHICLE_CLASSES:
             return type_of_class(base)
         searched = ", ".join(file.name for file in self._files[:10]) or "no file *.rou.xml or *.add.xml"
-        return name.fail(f"a vehicle class, or the id of a vType (searched: {searched})")
+        return Element(name, row.path, f"{row.place}: type").fail(
+            f"a vehicle class, or the id of a vType (searched: {searched})"
+        )
 
 
 def _read_types(files: Sequence[Path]) -> dict[str, VehicleType]:
@@ -226,8 +200,6 @@ def _read_types(files: Sequence[Path]) -> dict[str, VehicleType]:
             kind = _type(element)
             if types.setdefault(name, kind) != kind:
                 element.fail(f"vType {name!r} is already defined with another size or class, expected it once")
-            if len(types) > _MAX_TYPES:
-                raise SceneError(f"{file}: found more than {_MAX_TYPES} vTypes, expected at most as many")
     return types
 
 
@@ -239,11 +211,11 @@ def _type(element: XmlElement) -> VehicleType:
 
 def read_size(element: XmlElement, default: tuple[float, float, float]) -> tuple[float, float, float]:
     """Length, width and height m of an element's attributes, each one the default if it is missing."""
-    values = []
-    for name, otherwise in zip(("length", "width", "height"), default, strict=True):
-        value = element.get_attribute(name)
-        values.append(otherwise if value is None else value.positive(MAX_SIZE_M))
-    return values[0], values[1], values[2]
+    values = [element.get_attribute(name) for name in ("length", "width", "height")]
+    length, width, height = (
+        usual if value is None else value.positive(MAX_SIZE_M) for value, usual in zip(values, default, strict=True)
+    )
+    return length, width, height
 
 
 def sizes(types: Sequence[VehicleType]) -> Floats:
@@ -251,8 +223,6 @@ def sizes(types: Sequence[VehicleType]) -> Floats:
     return np.array([kind.size for kind in types]).reshape(-1, 3)
 
 
-_MAX_CORNERS = 10_000
-_MAX_BUILDINGS = 20_000  # near the route
 _MAX_COORDINATE_M = 1e8
 _MAX_HEIGHT_M = 1000.0
 _HEIGHT = re.compile(r"(\d{1,4}(?:\.\d{1,6})?)\s*m?", re.ASCII)
@@ -279,8 +249,6 @@ def read_buildings(
             if np.min(distance) <= radius:
                 outlines.append(outline)
                 heights.append(_height(element, default_height))
-            if len(outlines) > _MAX_BUILDINGS:
-                element.fail(f"found more than {_MAX_BUILDINGS} buildings near the route, expected at most as many")
     return outlines, heights
 
 
@@ -289,24 +257,14 @@ def _outline(element: XmlElement) -> Floats:
         element.fail("found geo coordinates, expected positions in m: write the file with polyconvert and the network")
     shape = element.attribute("shape")
     points = shape.text().split()
-    if len(points) > _MAX_CORNERS:
-        element.fail(f"found {len(points)} corners, expected at most {_MAX_CORNERS}")
-    corners = np.array([_point(text, shape) for text in points]).reshape(-1, 2)
-    if len(corners) > 1 and np.array_equal(corners[0], corners[-1]):
-        corners = corners[:-1]
-    if len(corners) < 3:
-        element.fail(f"found {len(corners)} different corners, expected 3 or more")
-    return corners
+    return closed_outline(np.array([_point(text, shape) for text in points]), element.fail)
 
 
 def _point(text: str, shape: TextElement) -> list[float]:
-    numbers = text.split(",")
+    numbers = [TextElement(number, shape.path, shape.place) for number in text.split(",")]
     if len(numbers) not in (2, 3):
         TextElement(text, shape.path, shape.place).fail("a point x,y or x,y,z")
-    return [
-        TextElement(number, shape.path, shape.place).number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M)
-        for number in numbers[:2]
-    ]
+    return [number.number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M) for number in numbers[:2]]
 
 
 def _height(element: XmlElement, default: float) -> float:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mast_datasets.files import find_file
 from mast_datasets.sumo_files import read_buildings, type_of_class
 from mast_datasets.sumo_inputs import SumoInputs, read_configuration
 from mast_datasets.sumo_simulation import Present, SumoSimulation
@@ -117,15 +118,7 @@ class SumoTraffic(DataSetScene):
         return steps, 1.0 / (self.rate_hz * steps)
 
     def _configuration(self) -> Path:
-        if not self.root.exists():
-            raise SceneError(f"{self.root}: no such file or folder")
-        if self.root.is_file():
-            return self.root
-        found = sorted(file for file in self.root.iterdir() if file.name.endswith(SUFFIXES))
-        if len(found) != 1:
-            names = ", ".join(file.name for file in found[:10]) or "none"
-            raise SceneError(f"{self.root}: found {len(found)} configurations of SUMO ({names}), expected one")
-        return found[0]
+        return find_file(self.root, "configurations of SUMO", lambda file: file.name.endswith(SUFFIXES))
 
     def _world(self, seed: int, frames: int) -> SumoWorld:
         inputs = read_configuration(self._configuration())
@@ -231,11 +224,4 @@ def _distance(present: Present, row: int) -> Floats:
 
 
 #: For poles: the ground is at 0.
-_NO_BOXES = SceneBoxes(
-    frame=np.zeros(0, np.int64),
-    id=np.zeros(0, np.int64),
-    position=np.zeros((0, 3)),
-    size=np.zeros((0, 3)),
-    yaw=np.zeros(0),
-    class_id=np.zeros(0, np.uint8),
-)
+_NO_BOXES = SceneBoxes.throughout(0, np.zeros((0, 3)), np.ones(3), np.zeros(0), 0)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,13 @@ def check_times(place: object, names: Sequence[object], times_ns: Ints, max_gap_
             f"{place}: frame {after}: found a gap of {step[gaps[0]]:.3f} s after frame {before}, "
             f"expected at most {max_gap_s:g} s{parameter and f' ({parameter})'}"
         )
+
+
+def closed_outline(corners: Floats, fail: Callable[[str], NoReturn]) -> Floats:
+    """(k, 2) m, the corners of a polygon, without repeating the first. fail: raises an error for fewer than 3"""
+    if len(corners) > 1 and np.array_equal(corners[0], corners[-1]):
+        corners = corners[:-1]
+    return corners if len(corners) >= 3 else fail(f"found {len(corners)} different corners, expected 3 or more")
 
 
 #: Of a number: any above 0.

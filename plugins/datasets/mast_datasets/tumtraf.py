@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from mast_datasets.files import Element, Point, Size, read_json, read_listed_pose
+from mast_datasets.files import Coordinate, Element, Side, read_json, read_listed_pose
 from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, classes_of
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats
@@ -90,12 +90,10 @@ def _matrix(element: Element) -> Element:
     return (transform or element["pose_wrt_parent"])["matrix4x4"]
 
 
-MAX_FILES = 100_000
 _Time = Annotated[float, Meta(ge=0, le=9e9)]  # s, to the year 2255; more nanoseconds are no 64 bit number
 _Number = Annotated[int, Meta(ge=0)]  # of a frame
-_Box = Annotated[list[float], Meta(min_length=10, max_length=10)]
-_Part = Annotated[float, Meta(ge=-2, le=2)]
-_Quaternion = tuple[_Part, _Part, _Part, _Part]
+_Part = Annotated[float, Meta(ge=-2, le=2)]  # of a quaternion
+_Box = tuple[Coordinate, Coordinate, Coordinate, _Part, _Part, _Part, _Part, Side, Side, Side]
 _MAX_LENGTH_ERROR = 1e-3  # of a quaternion
 _SIDES = ("labels_point_clouds", "_labels_point_clouds")
 _REGISTERED = "s110_lidar_ouster_south_and_vehicle_lidar_robosense_registered"
@@ -172,8 +170,6 @@ def read_frames(folder: Path) -> list[LabelledFrame]:
     Raises SceneError, also if their times do not ascend.
     """
     files = sorted(folder.glob("*.json"))
-    if len(files) > MAX_FILES:
-        raise SceneError(f"{folder}: found {len(files)} label files, expected at most {MAX_FILES}")
     frames: list[LabelledFrame] = []
     for file in files:
         for frame in _frames(file):
@@ -201,21 +197,12 @@ def _frames(file: Path) -> Iterator[LabelledFrame]:
         yield LabelledFrame(time_ns, properties, coordinates, frame.get("objects"), openlabel.get("objects"))
 
 
-def _cuboid(value: Element) -> tuple[Floats, Floats, Floats]:
-    """Position (3,) m, active rotation (3, 3) and size (3,) m of the numbers of a box."""
-    value.read(_Box)
-    position, quaternion, size = (
-        Element(value.value[a:b], value.path, f"{value.place}[{a}:{b}]") for a, b in ((0, 3), (3, 7), (7, 10))
-    )
-    return np.array(position.read(Point)), _rotation(quaternion), np.array(size.read(Size))
-
-
-def _rotation(element: Element) -> Floats:
-    """(3, 3) active rotation of a quaternion x, y, z, w."""
-    quaternion = np.array(element.read(_Quaternion))
-    if abs(float(np.linalg.norm(quaternion)) - 1.0) > _MAX_LENGTH_ERROR:
+def _cuboid(element: Element) -> tuple[Floats, Floats, Floats]:
+    """Position (3,) m, active rotation (3, 3) and size (3,) m of the numbers of a box; its quaternion is x, y, z, w."""
+    values = np.array(element.read(_Box))
+    if abs(float(np.linalg.norm(values[3:7])) - 1.0) > _MAX_LENGTH_ERROR:
         element.fail("a quaternion x, y, z, w of length 1")
-    return rotation_from_quaternion(np.roll(quaternion, 1))
+    return values[:3], rotation_from_quaternion(np.roll(values[3:7], 1)), values[7:]
 
 
 #: Of a car without a label: an assumption, as the data set does not give its size.
@@ -300,8 +287,10 @@ class TUMTrafV2X(DataSetScene):
         names = [*cars, *poles]
         label_system = self.label_system or (self.lidars or _lidars_of(folder))[0]
         root, poses = _poses(sequence, names)
-        boxes = _boxes(folder, sequence, label_system, root)
-        objects = []
+        labels = Labels(folder)
+        for row, frame in enumerate(sequence):
+            frame.add_boxes(row, labels, label_system, root)
+        boxes, objects = labels.boxes()[0], []
         for name in cars:
             boxes, own = own_object(boxes, *poses[name])
             objects.append(own)
@@ -378,14 +367,6 @@ def _check_still(frames: list[LabelledFrame], name: str, position: Floats, rotat
             f"{properties.path}: {properties.place}: {name} is at {np.round(position[moved[0]], 2).tolist()}, expected "
             f"{np.round(position[0], 2).tolist()} as in the first frame: poles do not move"
         )
-
-
-def _boxes(folder: Path, frames: list[LabelledFrame], label_system: str, root: str) -> SceneBoxes:
-    """The labelled boxes in the root's frame."""
-    labels = Labels(folder)
-    for row, frame in enumerate(frames):
-        frame.add_boxes(row, labels, label_system, root)
-    return labels.boxes()[0]
 
 
 def _shift(boxes: SceneBoxes, poses: dict[str, Poses], ego: str, own: int) -> tuple[SceneBoxes, dict[str, Poses]]:

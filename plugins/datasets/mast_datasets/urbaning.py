@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, Struct
 
 from mast_datasets.files import Element, Name, Point, Size, choose_name, read_json
 from mast_datasets.traffic import DataSetScene, Labels, check_times, classes_of
@@ -26,7 +26,6 @@ from mast_zenoh.sensing import Camera, LidarSensor
 
 TIMESYNC = "timesync_info.csv"
 _TIME = "timestamp_ms"
-_MAX_FRAMES = 100_000
 _MAX_TIME_MS = 9_000_000_000_000  # the year 2255; more nanoseconds are no 64 bit number
 _MAX_STATE_OFFSET_MS = 50  # of a vehicle's state from the time of its frame
 _MAX_STEP = 1.5  # between frames, in periods
@@ -96,8 +95,8 @@ def read_timesync(path: Path) -> Timesync:
         rows[row[0]] = row[1:]
     if _TIME not in rows:
         raise SceneError(f"{path}: found no row {_TIME}{nearest(_TIME, list(rows))}")
-    if not 1 <= len(rows[_TIME]) <= _MAX_FRAMES:
-        raise SceneError(f"{path}: found {len(rows[_TIME])} frames, expected 1 to {_MAX_FRAMES}")
+    if not rows[_TIME]:
+        raise SceneError(f"{path}: found no frames, expected at least one")
     times = [_milliseconds(path, frame, cell) for frame, cell in enumerate(rows[_TIME])]
     times_ns = np.array(times, np.int64) * 1_000_000
     period_s = float(np.median(np.diff(times_ns))) / 1e9 if len(times) > 1 else 0.0
@@ -166,7 +165,6 @@ def _milliseconds(path: Path, frame: int, cell: str) -> int:
     return time
 
 
-_MAX_TRACKS = 100_000
 _Angle = Annotated[float, Meta(ge=-1e4, le=1e4)]  # rad
 _Time = Annotated[float, Meta(ge=0, le=1e10)]  # s
 _MAX_TIME_ERROR_MS = 1
@@ -182,6 +180,17 @@ CLASS_OF_TYPE = classes_of(
 )
 
 
+class _Labelled(Struct):
+    """A track in a file of labels; dimensions: of each time, or one for all."""
+
+    track_id: Name
+    object_type: str
+    timestamps: list[_Time]
+    positions: list[Point]
+    orientations: list[_Angle]
+    dimensions: list[Size]
+
+
 #: The boxes of a track, without an id, and where it is in its file.
 Track = tuple[SceneBoxes, Element]
 
@@ -192,15 +201,12 @@ def read_tracks(path: Path, times_ms: list[int]) -> dict[str, Track]:
     times_ms: of the scene's frames; a label at another time is refused. Raises SceneError.
     """
     frame_at = {time + error: row for row, time in enumerate(times_ms) for error in _errors(times_ms)}
-    listed = read_json(path)["tracks"].elements()
-    if len(listed) > _MAX_TRACKS:
-        Element(len(listed), path, "tracks").fail(f"at most {_MAX_TRACKS} tracks")
     tracks: dict[str, Track] = {}
-    for element in listed:
-        name = str(element["track_id"].read(Name))
-        if name in tracks:
+    for element in read_json(path)["tracks"].elements():
+        track: _Labelled = element.read(_Labelled)
+        if str(track.track_id) in tracks:
             element["track_id"].fail("an id that no other track has")
-        tracks[name] = _boxes_of(element, frame_at), element
+        tracks[str(track.track_id)] = _boxes_of(element, track, frame_at), element
     return tracks
 
 
@@ -211,40 +217,27 @@ def _errors(times_ms: list[int]) -> range:
     return range(-error, error + 1)
 
 
-def _boxes_of(element: Element, frame_at: Mapping[int, int]) -> SceneBoxes:
-    frames = [_frame(time, frame_at) for time in element["timestamps"].elements()]
-    for row in range(1, len(frames)):
-        if frames[row] <= frames[row - 1]:
-            element["timestamps"].elements()[row].fail("a time after the one before")
-    n = len(frames)
-    dimensions = element["dimensions"]
-    single = isinstance(dimensions.value, list) and len(dimensions.value) == 1
-    sizes = _column(dimensions, 1 if single else n, Size, 3)
-    class_id = CLASS_OF_TYPE.get(element["object_type"].text(), CLASS_INDEX["unknown"])
+def _boxes_of(element: Element, track: _Labelled, frame_at: Mapping[int, int]) -> SceneBoxes:
+    n, frames = len(track.timestamps), list[int]()
+    for row, time in enumerate(track.timestamps):
+        frame = frame_at.get(round(time * 1000), -1)
+        if frame <= (frames[-1] if frames else -1):
+            reason = "the time of a frame in timesync_info.csv, s" if frame < 0 else "a time after the one before"
+            element["timestamps"].elements()[row].fail(reason)
+        frames.append(frame)
+    sizes = track.dimensions * n if len(track.dimensions) == 1 else track.dimensions
+    for name, values in (("positions", track.positions), ("dimensions", sizes), ("orientations", track.orientations)):
+        if len(values) != n:
+            element[name].fail(f"a list of {n}")
+    class_id = CLASS_OF_TYPE.get(track.object_type, CLASS_INDEX["unknown"])
     return SceneBoxes(
         frame=np.array(frames, np.int64),
         id=np.zeros(n, np.int64),
-        position=_column(element["positions"], n, Point, 3),
-        size=np.repeat(sizes, n, axis=0) if single else sizes,
-        yaw=_column(element["orientations"], n, _Angle, 0),
+        position=np.array(track.positions).reshape(-1, 3),
+        size=np.array(sizes).reshape(-1, 3),
+        yaw=np.array(track.orientations, np.float64),
         class_id=np.full(n, class_id, np.uint8),
     )
-
-
-def _frame(time: Element, frame_at: Mapping[int, int]) -> int:
-    """The row of the frame at a time in s."""
-    frame = frame_at.get(round(time.read(_Time) * 1000))
-    if frame is None:
-        time.fail("the time of a frame in timesync_info.csv, s")
-    return frame
-
-
-def _column(element: Element, count: int, kind: Any, width: int) -> Floats:
-    """(count, width) or (count,) of the values of a list, one for each time."""
-    values = element.read(list[kind])
-    if len(values) != count:
-        element.fail(f"a list of {count}")
-    return np.array(values, np.float64).reshape((count, width) if width else (count,))
 
 
 #: Models of the lidars, whose channels and angles are not in the files.

@@ -229,7 +229,7 @@ TURNED = json.loads(json.dumps(npcs_at(5)[1]).replace("1.0", "2.0"))
         (npcs(*npcs_at(5), time=0.55), r"time 0\.55 s, but 0\.5 s in"),
         (actors(*actors_at(5)[:1]), r"actors \[0\], but \[0, 1\] in the first frame"),
         (Damage("", without_ego), "no actor has a box"),
-        (content("objects/objectstate-actors-5.txt", b""), "the name has 3 parts"),
+        (content("objects/objectstate-actors-5.txt", b""), "found no frame number in the name"),
         (Damage("", lambda run: (run / "objects").rename(run / "things")), "run-0: no run folder"),
     ],
 )

@@ -246,7 +246,7 @@ def test_track_names_that_are_numbers_are_ids() -> None:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (value(PAIRS, "", []), "found 0 pairs, expected 1 to"),
+        (value(PAIRS, "", [])._replace(file=""), "found no sequence, expected at least one"),
         (value(PAIRS, "[1].vehicle_frame", "../../x y"), r"\[1\].vehicle_frame: found .*, expected a name of 1 to 40"),
         (value(PAIRS, "[1].vehicle_frame", "000099"), "found '000099', expected a frame of"),
         (value(PAIRS, "", lambda pairs: [*pairs, pairs[2]]), r"\[4\]: found frame 000012 of the car twice"),

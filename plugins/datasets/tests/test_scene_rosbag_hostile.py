@@ -84,12 +84,12 @@ COPY = "CREATE TABLE copy AS SELECT * FROM messages"
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (text("metadata.yaml", "- bag.db3", "- ../outside.db3"), "expected the name of a file"),
-        (text("metadata.yaml", "- bag.db3", "- /etc/passwd"), "expected the name of a file"),
-        (text("metadata.yaml", "- bag.db3", "- a/b/bag.db3"), "expected the name of a file"),
+        (text("metadata.yaml", "- bag.db3", "- ../outside.db3")._replace(file="outside.db3"), "found no such file"),
+        (text("metadata.yaml", "- bag.db3", "- /etc/passwd")._replace(file="passwd"), "found no such file"),
+        (text("metadata.yaml", "- bag.db3", "- a/b/other.db3")._replace(file="other.db3"), "found no such file"),
         (text("metadata.yaml", "- bag.db3", "- 'a?mode=rwc'")._replace(file="a?mode=rwc"), "found no such file"),
         (text("metadata.yaml", "- bag.db3", "- missing.db3")._replace(file="missing.db3"), "found no such file"),
-        (text("metadata.yaml", "- bag.db3", "- ."), "expected the name of a file"),
+        (text("metadata.yaml", "- bag.db3", "- .")._replace(file=""), "found no such file"),
         (text("metadata.yaml", "rosbag2_bagfile_information", "information"), "rosbag2_bagfile_information is missing"),
         (text("metadata.yaml", "compression_mode: ''", "compression_mode: zip"), "expected none, file or message"),
         (content("metadata.yaml", b"a: &a [*a]"), "found unconstructable recursive node"),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from comparison import FRAMES, assert_same, assert_seen_without_buildings, junction
-from mast_datasets import traffic, tumtraf
+from mast_datasets import traffic
 from mast_datasets.tumtraf import TUMTrafV2X
 from tumtraf_writer import CAR, LABELS, POLE, write
 
@@ -216,10 +216,10 @@ def value(index: int, number: Any) -> Callable[[OpenLabel], object]:
         (put(transform, transform_src_to_dst={"matrix4x4": [0.0] * 15}), "matrix4x4: found .*, expected 4 rows of 4"),
         (put(first, cuboid=[1, 2]), r"cuboid: found \[1, 2\], expected one box"),
         (put(first, coordinate_system="s110_bas"), "coordinate system 's110_bas', .*did you mean 's110_base'"),
-        (put(first, cuboid={"val": [0.0] * 9}), "cuboid.val: found .*, expected `array` of length >= 10"),
-        (value(2, 1e9), r"cuboid.val\[0:3\]\[2\]: found .*, expected `float` <= 100000000"),
-        (value(6, 2.0), r"cuboid.val\[3:7\]: found .*, expected a quaternion x, y, z, w of length 1"),
-        (value(8, 1e4), r"cuboid.val\[7:10\]\[1\]: found .*, expected `float` <= 200"),
+        (put(first, cuboid={"val": [0.0] * 9}), "cuboid.val: found .*, expected `array` of length 10"),
+        (value(2, 1e9), r"cuboid.val\[2\]: found .*, expected `float` <= 100000000"),
+        (value(6, 2.0), r"cuboid.val: found .*, expected a quaternion x, y, z, w of length 1"),
+        (value(8, 1e4), r"cuboid.val\[8\]: found .*, expected `float` <= 200"),
     ],
 )
 def test_a_damaged_frame_is_refused_with_file_place_and_reason(
@@ -260,7 +260,6 @@ def test_a_root_that_moves_is_refused(split: Path) -> None:
     ("module", "limit", "message"),
     [
         (detection_tables, "MAX_FILE_BYTES", r"json: found \d+ bytes, expected at most 3"),
-        (tumtraf, "MAX_FILES", "found 4 label files, expected at most 3"),
         (traffic, "MAX_BOXES", "found more than 3 boxes"),
     ],
 )

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from comparison import FRAMES, assert_same, assert_seen_without_buildings, junction
 from damages import GONE, Damage, assert_refused, value
-from mast_datasets import traffic, urbaning
+from mast_datasets import traffic
 from mast_datasets.urbaning import UrbanIngV2X
 from urbaning_writer import SEQUENCE, SHIFT, TIME_MS, write, write_timesync
 
@@ -167,7 +167,7 @@ def drop_frame(rows: list[list[str]]) -> None:
         (lambda rows: rows[2].pop(), "line 3: found 12 cells, expected 13"),
         (lambda rows: rows.append(rows[2]), "line 7: found 'crossing2_11_lidar' again, expected each row once"),
         (lambda rows: rows.__delitem__(slice(4, 6)), "found no row vehicle<number>_state"),
-        (lambda rows: [row.__delitem__(slice(1, None)) for row in rows], "found 0 frames, expected 1 to"),
+        (lambda rows: [row.__delitem__(slice(1, None)) for row in rows], "found no frames, expected at least one"),
         (cell(4, 3, "../1.json"), r"row vehicle1_state, frame 2: found '\.\./1\.json', expected a file name"),
         (cell(4, 3, f"{TIME_MS}.json"), f"frame 2: found '{TIME_MS}.json', expected a time within 50 ms of"),
     ],
@@ -240,8 +240,6 @@ def test_a_table_with_a_quoted_cell_that_never_ends_is_refused(root: Path) -> No
     ("module", "limit", "message"),
     [
         (detection_tables, "MAX_FILE_BYTES", r"timesync_info.csv: found \d+ bytes, expected at most 3"),
-        (urbaning, "_MAX_FRAMES", "timesync_info.csv: found 12 frames, expected 1 to 3"),
-        (urbaning, "_MAX_TRACKS", "expected at most 3 tracks"),
         (traffic, "MAX_BOXES", "found more than 3 boxes"),
     ],
 )
