@@ -355,7 +355,6 @@ def read_labels(content: Element, variant: Variant, agent: Poses | None, frame: 
         classes.append(CLASS_INDEX["car"] if category is None else _CLASS_OF_CATEGORY.get(category, 0))
         placed = each.read(_Placed)
         rows.append([*placed.location, *placed.center, *placed.extent, *placed.angle])
-    _check_unique(ids, listed)
     table = np.array(rows, np.float64).reshape(-1, 12)
     position = (table[:, :3] + table[:, 3:6]) * (_FLIP if variant.left_handed else 1.0)
     rotation = rotations(table[:, 9:], variant.left_handed)
@@ -394,9 +393,3 @@ def read_visible(content: Element, known: Ints) -> dict[int, int]:
 def _category(each: Element, variant: Variant) -> str | None:
     """The category of an object; None: the data set has none."""
     return None if variant.category is None else category_key(each[variant.category].text())
-
-
-def _check_unique(ids: list[int], listed: Element) -> None:
-    if len(set(ids)) != len(ids):
-        twice = next(number for number in ids if ids.count(number) > 1)
-        Element(twice, listed.path, listed.place).fail("each object once")

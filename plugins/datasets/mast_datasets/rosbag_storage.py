@@ -24,7 +24,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, McapReader
 
-from mast_datasets.opv2v_yaml import read_yaml
+from mast_datasets.files import read_yaml
 from mast_zenoh.errors import SceneError
 
 METADATA = "metadata.yaml"

@@ -224,9 +224,9 @@ DAMAGES: list[tuple[type[Scene], Damage, str]] = [
         value(FILE, "vehicles.9.extent", [1e6, 1.0, 1.0]),
         r"vehicles\.9\.extent\[0\]: .*, expected `float` <= 1000",
     ),
-    (OPV2VScene, value(FILE, "vehicles.9.angle", [True, 0.0, 0.0]), r"9\.angle\[0\]: .*, expected `float`, got `bool`"),
+    (OPV2VScene, value(FILE, "vehicles.9.angle", [True, 0.0, 0.0]), r"9\.angle\[0\]: .*, expected `float`, got `str`"),
     (OPV2VScene, value(FILE, "vehicles.x", 1), r"vehicles\.x: found 'x', expected `int`"),
-    (OPV2VScene, text(FILE, "\nvehicles:\n  ", NINE), r"vehicles: found 9, expected each object once"),
+    (OPV2VScene, text(FILE, "\nvehicles:\n  ", NINE), r"found the key 9 twice"),
     (
         OPV2VScene,
         moved(3.0, "000070.yaml", ("6",)),
