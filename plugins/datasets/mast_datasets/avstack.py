@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,14 +22,13 @@ from mast_datasets.avstack_files import (
     read_visibility,
 )
 from mast_datasets.traffic import ABOVE_0, DataSetScene
-from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import fill_velocity
-from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
+from mast_zenoh.scenes.making.assembly import AgentPath, DetectionColumns, SceneBoxes, assemble
 from mast_zenoh.scenes.own_detections import read_json_lines
-from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording, SceneAgent, truth_states
+from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording, SceneAgent
 from mast_zenoh.scenes.recording_file import check_counts
-from mast_zenoh.sensing import Camera, LidarSensor
+from mast_zenoh.sensing import Camera, Detector, LidarSensor
 
 #: Object id of agent 0; agent k, if it is an object, has this plus k. The layout numbers agents and objects
 #: separately, both from 0, and its original reader gives the ego this id.
@@ -84,13 +84,24 @@ class AVstackScene(DataSetScene):
             numbers = numbers[:frames]
         times, actors, objects = _read_states(layout, numbers)
         agents = self._agents(actors[0], layout.run)
-        world, ground = _world(layout, self.root.name, numbers, times, agents, actors, objects)
-        points = _points(layout, world, numbers, agents)
-        file = layout.accompanying_file("detections.jsonl") if self.replay else None
-        if file is None:
-            return make_recording(world, points, *detect(world, points, self.detector, seed, ground))
-        rotation = world.agent_rotation @ np.stack([agent.sensor.mount_rotation for agent in world.agents])
-        return make_recording(world, points, *read_json_lines(file, numbers, agents, rotation))
+        boxes, start = _boxes(objects)
+        file = layout.accompanying_file("buildings.json")
+        outlines, heights = read_buildings(file, layout.accompanying_file("scene.json")) if file else ((), np.zeros(0))
+        paths = [
+            _path(layout, numbers, number, k == 0, [each[number] for each in actors]) for k, number in enumerate(agents)
+        ]
+        make = partial(assemble, self.root.name, times, boxes, seed=seed, buildings=outlines, building_height=heights)
+        points = _points(
+            layout, boxes.id, start, numbers, agents, lambda: make(paths, _no_detections(times, paths)).points
+        )
+        bottoms = np.split(boxes.position[:, 2] - boxes.size[:, 2] / 2, start[1:-1])
+        ground = np.array([np.median(bottom) for bottom in bottoms])
+        paths = [replace(path, points=points[:, k], ground=ground) for k, path in enumerate(paths)]
+        detected: Detector | DetectionColumns = self.detector
+        if self.replay and (file := layout.accompanying_file("detections.jsonl")) is not None:
+            turns = [path.rotation @ path.agent.sensor.mount_rotation for path in paths]
+            detected = read_json_lines(file, numbers, agents, np.stack(turns, axis=1))
+        return replace(make(paths, detected), times_ns=times)
 
     def _agents(self, actors: dict[int, ObjectState], run: Path) -> list[int]:
         """Numbers of the agents: the ego, other mobile agents, then static agents."""
@@ -138,77 +149,31 @@ def _read_states(
     return np.round(np.array(times) * 1e9).astype(np.int64), all_actors, all_objects
 
 
-def _world(
-    layout: Layout,
-    name: str,
-    numbers: list[int],
-    times: Ints,
-    agents: list[int],
-    actors: list[dict[int, ObjectState]],
-    objects: list[dict[int, ObjectState]],
-) -> tuple[World, Floats]:
-    """The scene without visibility and detections, and the ground at each agent.
-
-    The ground height is (F, A) m.
-    """
-    truth_start = np.cumsum([0, *map(len, objects)])
-    rows = [(number, state) for frame in objects for number, state in frame.items()]
-    position = np.array([state.centre for _, state in rows])
-    velocity = np.array([np.full(3, np.nan) if state.velocity is None else state.velocity for _, state in rows])
-    ids = np.array([number for number, _ in rows], np.int64)
-    truth = truth_states(
-        {
-            "id": ids,
-            "position": position,
-            "velocity": fill_velocity(ids, position, velocity, np.repeat(times, np.diff(truth_start))),
-            "size": np.array([state.size for _, state in rows]),
-            "yaw": np.array([state.yaw for _, state in rows]),
-            "class_id": np.array([state.class_id for _, state in rows], np.uint8),
-        }
+def _boxes(objects: list[dict[int, ObjectState]]) -> tuple[SceneBoxes, Ints]:
+    """The boxes of all objects by frame and id, and the row (F + 1,) with which each frame begins."""
+    rows = [(frame, number, state) for frame, each in enumerate(objects) for number, state in each.items()]
+    states = [state for _, _, state in rows]
+    unknown = np.full(3, np.nan)
+    boxes = SceneBoxes(
+        frame=np.array([frame for frame, _, _ in rows], np.int64),
+        id=np.array([number for _, number, _ in rows], np.int64),
+        position=np.array([state.centre for state in states]),
+        size=np.array([state.size for state in states]),
+        yaw=np.array([state.yaw for state in states]),
+        class_id=np.array([state.class_id for state in states], np.uint8),
+        velocity=np.array([unknown if state.velocity is None else state.velocity for state in states]),
     )
-    agent_position = np.array([[frame[number].position for number in agents] for frame in actors])
-    agent_velocity = np.zeros_like(agent_position)
-    for column, number in enumerate(agents):
-        if actors[0][number].size is not None:
-            agent_velocity[:, column] = truth.velocity[ids == EGO_ID + number]
-    agent_rotation = np.array([[frame[number].rotation for number in agents] for frame in actors])
-    file = layout.accompanying_file("buildings.json")
-    buildings = read_buildings(file, layout.accompanying_file("scene.json")) if file else ((), np.zeros(0))
-    world = World(
-        name=name,
-        agents=tuple(
-            _agent(layout, numbers, number, k == 0, actors[0][number], agent_position[:, k], agent_rotation[:, k])
-            for k, number in enumerate(agents)
-        ),
-        period_ns=int(np.median(np.diff(times))) if len(times) > 1 else 100_000_000,
-        times_ns=times,
-        truth=truth,
-        truth_start=truth_start,
-        agent_position=agent_position,
-        agent_rotation=agent_rotation,
-        agent_velocity=agent_velocity,
-        buildings=buildings[0],
-        building_height=buildings[1],
-    )
-    bottoms = truth.position[:, 2] - truth.size[:, 2] / 2
-    ground = np.array([np.median(bottoms[a:b]) for a, b in itertools.pairwise(truth_start)])
-    return world, np.repeat(ground[:, None], len(agents), axis=1)
+    return boxes, np.cumsum([0, *map(len, objects)])
 
 
-def _agent(
-    layout: Layout,
-    numbers: list[int],
-    number: int,
-    is_ego: bool,
-    state: ObjectState,
-    position: Floats,
-    rotation: Floats,
-) -> SceneAgent:
-    """An agent with its first lidar and its first camera.
+def _no_detections(times: Ints, paths: Sequence[AgentPath]) -> DetectionColumns:
+    return Detections.empty(), np.zeros(len(times) * len(paths) + 1, np.int64), np.zeros(0, np.int64)
 
-    position (F, 3), rotation (F, 3, 3): of the agent
-    """
-    mobile = state.size is not None
+
+def _path(layout: Layout, numbers: list[int], number: int, is_ego: bool, states: list[ObjectState]) -> AgentPath:
+    """The path of an agent with its first lidar and its first camera. states: of it in each frame"""
+    mobile = states[0].size is not None
+    position, rotation = np.array([each.position for each in states]), np.array([each.rotation for each in states])
     lidars = layout.sensors("lidar", number)
     if not lidars:
         raise SceneError(f"{layout.run / 'data'}: no folder lidar-<k>-{number} for agent {number}")
@@ -218,29 +183,23 @@ def _agent(
         calibrated, expected = read_calibration(path).position, position[k] + rotation[k] @ mount_position
         if np.abs(calibrated - expected).max() > _MAX_MOUNT_ERROR_M:
             raise SceneError(
-                f"{path}: the lidar is at {np.round(calibrated, 2).tolist()}, "
-                f"expected {np.round(expected, 2).tolist()}: "
-                "its mount must not change after the first frame"
+                f"{path}: the lidar is at {np.round(calibrated, 2).tolist()}, expected "
+                f"{np.round(expected, 2).tolist()}: its mount must not change after the first frame"
             )
     lidar = LidarSensor() if mobile else LidarSensor.infrastructure()
+    lidar = replace(lidar, mount_position=mount_position, mount_rotation=mount_rotation)
     camera = Camera()
-    cameras = layout.sensors("camera", number)
-    if cameras:
-        path = layout.calibrations(cameras[0], numbers)[numbers[0]]
-        calibration = read_calibration(path)
-        if calibration.focal is None or calibration.width is None or calibration.height is None:
+    for name in layout.sensors("camera", number)[:1]:
+        path = layout.calibrations(name, numbers)[numbers[0]]
+        read = read_calibration(path)
+        if read.focal is None or read.width is None or read.height is None:
             raise SceneError(f"{path}: img_shape is missing, expected the calibration of a camera")
-        camera_position, camera_rotation = _mount(calibration, position[0], rotation[0])
-        camera = Camera(
-            camera_position, camera_rotation @ _OPTICAL, calibration.width, calibration.height, calibration.focal
-        )
-    return SceneAgent(
-        "ego" if is_ego else f"mobile_{number}" if mobile else f"infra_{number}",
-        "mobile" if mobile else "static",
-        EGO_ID + number if mobile else -1,
-        replace(lidar, mount_position=mount_position, mount_rotation=mount_rotation),
-        camera,
-    )
+        camera_position, camera_rotation = _mount(read, position[0], rotation[0])
+        camera = Camera(camera_position, camera_rotation @ _OPTICAL, read.width, read.height, read.focal)
+    name = "ego" if is_ego else f"mobile_{number}" if mobile else f"infra_{number}"
+    kind, own = ("mobile", EGO_ID + number) if mobile else ("static", -1)
+    velocity = None if mobile else np.zeros_like(position)
+    return AgentPath(SceneAgent(name, kind, own, lidar, camera), position, rotation, velocity)
 
 
 def _mount(calibration: Calibration, position: Floats, rotation: Floats) -> tuple[Floats, Floats]:
@@ -251,13 +210,22 @@ def _mount(calibration: Calibration, position: Floats, rotation: Floats) -> tupl
     return rotation.T @ (calibration.position - position), rotation.T @ calibration.rotation
 
 
-def _points(layout: Layout, world: World, numbers: list[int], agents: list[int]) -> NDArray[np.int32]:
-    """(N, A) lidar returns, from the best source available."""
-    truth: ObjectStates = world.truth
+def _points(
+    layout: Layout,
+    ids: Ints,
+    start: Ints,
+    numbers: list[int],
+    agents: list[int],
+    cast: Callable[[], NDArray[np.int32]],
+) -> NDArray[np.int32]:
+    """(N, A) lidar returns, from the best source available.
+
+    ids, start: (N,) of the boxes, and (F + 1,) row with which each frame begins; cast: what ray casting gives
+    """
     file = layout.accompanying_file("visibility.jsonl")
     if file is not None:
-        return read_visibility(file, numbers, agents, truth.id, world.truth_start)
-    cast_points = lidar_visibility(world)
+        return read_visibility(file, numbers, agents, ids, start)
+    cast_points = cast()
     points = cast_points.copy()
     listed: set[int] = set()
     for column, number in enumerate(agents):
@@ -268,12 +236,12 @@ def _points(layout: Layout, world: World, numbers: list[int], agents: list[int])
         for k, (frame, path) in enumerate(files.items()):
             seen = read_seen(path, frame)
             listed |= seen.keys()
-            for row in range(*world.rows(k).indices(len(truth))):
-                fraction = seen.get(int(truth.id[row]), -1.0)
+            for row in range(start[k], start[k + 1]):
+                fraction = seen.get(int(ids[row]), -1.0)
                 if fraction != -1.0:
                     share = 1.0 if fraction is None else fraction
                     points[row, column] = max(SEEN_RETURNS, round(share * int(cast_points[row, column])))
     # If a data set never lists the agents as objects, their visibility comes from ray casting.
-    unlisted = (truth.id >= EGO_ID) & ~np.isin(truth.id, sorted(listed))
+    unlisted = (ids >= EGO_ID) & ~np.isin(ids, sorted(listed))
     points[unlisted] = cast_points[unlisted]
     return points
