@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from mast_datasets.traffic import (
     ego_in_traffic,
 )
 from mast_datasets.xml_files import XmlElement, has_root, read_xml
-from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
 from mast_zenoh.scenes.making.virtual_agents import VEHICLE_CLASSES
@@ -92,37 +93,20 @@ CLASS_OF_TYPE = classes_of(
 LEFT_OUT = ("constructionZone", "roadBoundary", "building", "pillar", "median_strip")
 
 
-@dataclass(frozen=True, eq=False)
-class Obstacle:
-    """An obstacle at K time steps.
+class Obstacle(NamedTuple):
+    """An obstacle: whether it moves, and its boxes, whose frames are time steps; one that stands has a single box."""
 
-    first_step: of its first state; None: it stands still, and is there at all times
-    size:       (2,) m, length and width
-    position:   (K, 2) m, middle of its box; yaw: (K,) rad
-    velocity:   (K, 2) m/s; NaN where the file has none
-    """
-
-    id: int
-    class_id: int
-    first_step: int | None
-    size: Floats
-    position: Floats
-    yaw: Floats
-    velocity: Floats
-
-    @property
-    def steps(self) -> Ints:
-        """(K,) time steps of a moving obstacle."""
-        return np.arange(len(self.yaw)) + (self.first_step or 0)
+    moves: bool
+    boxes: SceneBoxes
 
 
 @dataclass(frozen=True, eq=False)
 class ScenarioFile:
-    """The content of a file: its name, the duration of a time step s, obstacles, and outlines (k, 2) m of buildings."""
+    """The content of a file: its name, the duration of a time step s, obstacles by id, and outlines of buildings."""
 
     name: str
     step_s: float
-    obstacles: list[Obstacle]
+    obstacles: dict[int, Obstacle]
     buildings: list[Floats]
 
 
@@ -148,22 +132,16 @@ def read_scenario(path: Path) -> ScenarioFile:
             buildings.append(read_polygon(element.child("shape").child("polygon")))
         if element.tag in ("environmentObstacle", "phantomObstacle"):
             continue
-        obstacle = _obstacle(element)
-        if obstacle is None:
+        number = element.attribute("id").integer(0)
+        if element.child("type").text.text((*CLASS_OF_TYPE, *LEFT_OUT)) in LEFT_OUT:
             continue
-        if obstacle.id in obstacles:
-            element.fail(f"id {obstacle.id} occurs twice, expected it once")
-        obstacles[obstacle.id] = obstacle
-    return ScenarioFile(name, step_s, list(obstacles.values()), buildings)
+        if number in obstacles:
+            element.fail(f"id {number} occurs twice, expected it once")
+        obstacles[number] = _obstacle(element, number, CLASS_OF_TYPE[kind])
+    return ScenarioFile(name, step_s, obstacles, buildings)
 
 
-def _obstacle(element: XmlElement) -> Obstacle | None:
-    """An obstacle; None if it is not a road user."""
-    number = element.attribute("id").integer(0)
-    kind = element.child("type").text.text((*CLASS_OF_TYPE, *LEFT_OUT))
-    if kind in LEFT_OUT:
-        return None
-    class_id = CLASS_OF_TYPE[kind]
+def _obstacle(element: XmlElement, number: int, class_id: int) -> Obstacle:
     moving = element.tag == "dynamicObstacle"
     if element.tag == "obstacle":  # 2018b
         moving = element.child("role").text.text(("dynamic", "static")) == "dynamic"
@@ -174,9 +152,12 @@ def _obstacle(element: XmlElement) -> Obstacle | None:
         if _step(state) != first + index:
             state.child("time").fail(f"found time step {_step(state)}, expected {first + index}: the next one")
     position, yaw = _poses(states, outline)
-    return Obstacle(
-        number, class_id, first if moving else None, outline.size, position, yaw, _velocities(states, yaw - outline.yaw)
-    )
+    velocity = _velocities(states, yaw - outline.yaw) if moving else np.zeros((1, 2))
+    height, none = HEIGHT_OF_CLASS[class_id], np.zeros((len(states), 1))
+    middle = np.concatenate([position, none + height / 2], axis=1)
+    boxes = SceneBoxes.throughout(number, middle, np.array([*outline.size, height]), yaw, class_id)
+    velocity = np.concatenate([velocity, none], axis=1)
+    return Obstacle(moving, replace(boxes, frame=first + boxes.frame, velocity=velocity))
 
 
 def _states(element: XmlElement, moving: bool) -> Iterator[XmlElement]:
@@ -257,7 +238,7 @@ class CommonRoadScenario(TrafficScene):
         file = find_scenario(self.root)
         scenario = read_scenario(file)
         start, count = self._window(scenario, file)
-        boxes = _boxes(scenario.obstacles, start, count, file)
+        boxes = _boxes(scenario.obstacles.values(), start, count, file)
         ego = busiest_vehicle(boxes, count, file) if self.ego is None else self.ego
         origin = np.array([*boxes.position[(boxes.id == ego) & (boxes.frame == 0), :2][0], 0.0])
         boxes = replace(boxes, position=boxes.position - origin)
@@ -275,46 +256,26 @@ class CommonRoadScenario(TrafficScene):
 
     def _window(self, scenario: ScenarioFile, file: Path) -> tuple[int, int]:
         """First time step of the scene, and number of its frames."""
-        moving = {one.id: one for one in scenario.obstacles if one.first_step is not None}
-        vehicles = [one for one in moving.values() if one.class_id in VEHICLE_CLASSES]
+        moving = {number: boxes for number, (moves, boxes) in scenario.obstacles.items() if moves}
+        vehicles = [number for number, boxes in moving.items() if boxes.class_id[0] in VEHICLE_CLASSES]
         if not vehicles:
             raise SceneError(f"{file}: found no dynamic car, truck or bus, expected one for the ego")
         if self.ego is not None and self.ego not in moving:
-            known = ", ".join(map(str, sorted(one.id for one in vehicles)[:_MAX_IDS]))
+            known = ", ".join(map(str, sorted(vehicles)[:_MAX_IDS]))
             raise ConfigurationError(f"{file}: ego is {self.ego}, expected the id of a dynamic vehicle: {known}")
-        longest = min(vehicles, key=lambda one: (-len(one.yaw), one.first_step or 0, one.id))
-        ego = longest if self.ego is None else moving[self.ego]
-        return ego.first_step or 0, len(ego.yaw)
+        longest = min(vehicles, key=lambda number: (-len(moving[number]), moving[number].frame[0], number))
+        steps = moving[longest if self.ego is None else self.ego].frame
+        return int(steps[0]), len(steps)
 
 
-def _boxes(obstacles: Sequence[Obstacle], start: int, count: int, file: Path) -> SceneBoxes:
+def _boxes(obstacles: Iterable[Obstacle], start: int, count: int, file: Path) -> SceneBoxes:
     """The boxes of the time steps from `start`, on the ground at z = 0."""
-    parts = []
-    total = 0
-    for one in obstacles:
-        if one.first_step is None:
-            frame, rows = np.arange(count), np.zeros(count, np.intp)
-        else:
-            rows = np.flatnonzero((one.steps >= start) & (one.steps < start + count))
-            frame = one.steps[rows] - start
+    parts, total = [], 0
+    for moves, boxes in obstacles:
+        frame = boxes.frame - start if moves else np.arange(count)
+        rows = np.flatnonzero((frame >= 0) & (frame < count))
         total += len(rows)
         if total > _MAX_BOXES:
             raise SceneError(f"{file}: found more than {_MAX_BOXES} boxes, expected at most as many")
-        parts.append(_part(one, frame, rows))
+        parts.append(replace(boxes.select(rows if moves else 0 * rows), frame=frame[rows]))
     return SceneBoxes.concatenate(parts)
-
-
-def _part(one: Obstacle, frame: Ints, rows: Ints) -> SceneBoxes:
-    n = len(rows)
-    height = HEIGHT_OF_CLASS[one.class_id]
-    up = np.full((n, 1), height / 2)
-    velocity = np.zeros((n, 2)) if one.first_step is None else one.velocity[rows]
-    return SceneBoxes(
-        frame=frame,
-        id=np.full(n, one.id),
-        position=np.concatenate([one.position[rows], up], axis=1),
-        size=np.tile([*one.size, height], (n, 1)),
-        yaw=one.yaw[rows],
-        class_id=np.full(n, one.class_id, np.uint8),
-        velocity=np.concatenate([velocity, np.zeros((n, 1))], axis=1),
-    )
