@@ -2,7 +2,6 @@
 
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.study.defences import (
-    BreakdownCell,
     junctions,
     parse_choices,
     sensors_of,
@@ -11,6 +10,7 @@ from mast_zenoh.study.defences import (
     with_preset,
     words,
 )
+from mast_zenoh.study.defences.breakdown import Breakdown
 
 # On two cores: quick 2 minutes, full 25.
 PRESETS = dict(
@@ -58,22 +58,23 @@ def study(
     """
     chosen = with_preset(PRESETS, preset, agents=agents, shares=shares, scenes=scenes, trials=trials, frames=frames)
     common = dict(defence=defence, placement="random", attack_start_s=attack_start_s)
-    runs, cells = {}, {}
+    runs = {}
     for count in several(chosen["agents"]):
         sensors = common | sensors_of(count)
         for attack in [None, *parse_choices(adversaries, "adversaries")]:
             for liars in numbers(chosen["shares"], count):
                 if (attack is None) == (liars == 0):
                     name = "" if attack is None else short_name(attack)
-                    cell = BreakdownCell(name, count, liars, attack_start_s)
                     lying = {} if attack is None else dict(attack=attack, budget=budget)
-                    parameters = sensors | lying | dict(n_adversaries=liars)
-                    runs[cell.label] = dict(scenario="defence_cell", parameters=parameters)
-                    cells[cell.label] = cell
+                    runs[f"{count} agents {f'{name} {liars}' if liars else 'without liars'}"] = dict(
+                        scenario="defence_cell",
+                        parameters=sensors | lying | dict(n_adversaries=liars),
+                        factors=dict(attack=name, agents=count, liars=liars, attack_start_s=attack_start_s),
+                    )
     return dict(
         name="breakdown",
+        kind=Breakdown,
         runs=runs,
-        cells=cells,
         baseline=next(iter(runs)),
         per_trial=dict(seed="placement_seed", frames="placement_frames"),
         scenes=words(chosen["scenes"]),

@@ -1,6 +1,7 @@
 """Fusion in one centre, in two regional ones, and on board of every agent, under equal attacks."""
 
-from mast_zenoh.study.defences import CooperationCell, junctions, several, with_preset, words
+from mast_zenoh.study.defences import junctions, several, with_preset, words
+from mast_zenoh.study.defences.cooperation import Cooperation
 
 # On two cores: quick 3 minutes, full 45.
 PRESETS = dict(
@@ -42,18 +43,21 @@ def study(
     """
     chosen = with_preset(PRESETS, preset, agents=agents, scenes=scenes, trials=trials)
     lies = dict(n_adversaries=n_adversaries, attack_start_s=attack_start_s)
-    runs, cells = {}, {}
+    runs = {}
     for count in several(chosen["agents"]):
         for architecture in words(architectures):
             for attacked, (scenario, parameters) in enumerate(_ARCHITECTURES[architecture]):
-                cell = CooperationCell(architecture, count, bool(attacked), attack_start_s)
-                parameters = dict(n_mobile=count - _OTHERS) | parameters | (lies if attacked else {})
-                runs[cell.label] = dict(scenario=scenario, parameters=parameters)
-                cells[cell.label] = cell
+                runs[f"{architecture} {count} agents{' attacked' if attacked else ''}"] = dict(
+                    scenario=scenario,
+                    parameters=dict(n_mobile=count - _OTHERS) | parameters | (lies if attacked else {}),
+                    factors=dict(
+                        architecture=architecture, agents=count, attacked=bool(attacked), attack_start_s=attack_start_s
+                    ),
+                )
     return dict(
         name="cooperation",
+        kind=Cooperation,
         runs=runs,
-        cells=cells,
         baseline=next(iter(runs)),
         scenes=words(chosen["scenes"]),
         trials=chosen["trials"],

@@ -1,6 +1,7 @@
 """Every defence against every adversary, with 0 to n - 1 adversaries."""
 
 from mast_zenoh.study.defences import junctions, matrix_study, parse_choices, several, with_preset, words
+from mast_zenoh.study.defences.matrix import DefenceMatrix
 
 # Adversaries that know the defence.
 ADAPTIVE = "BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,Replay,GhostAhead,StatePerturbation,PoseDrift"
@@ -127,6 +128,7 @@ def study(
     )
     return dict(
         name="defences",
+        kind=DefenceMatrix,
         **matrix_study(
             defences=parse_choices(chosen["defences"], "defences"),
             adversaries=parse_choices(chosen["adversaries"], "adversaries"),

@@ -1,6 +1,7 @@
 """How long a displaced object stays unnoticed, next to the least delay that is possible."""
 
-from mast_zenoh.study.defences import DriftCell, junctions, sensors_of, several, with_preset, words
+from mast_zenoh.study.defences import junctions, sensors_of, several, with_preset, words
+from mast_zenoh.study.defences.drift import Drift
 
 # On two cores: quick 3 minutes, full 20.
 PRESETS = dict(
@@ -36,7 +37,6 @@ def study(
     """
     chosen = with_preset(PRESETS, preset, scenes=scenes, trials=trials)
     lies = [(offset, None) for offset in several(offsets_m)] + [(limit_m, rate) for rate in several(rates_mps)]
-    cells = [DriftCell(offset, rate, count) for count in several(agents) for offset, rate in lies]
     common = dict(
         defence=defence,
         n_adversaries=1,
@@ -45,16 +45,23 @@ def study(
         knowledge="own",
         attack_start_s=attack_start_s,
     )
+    runs = {}
+    for count in several(agents):
+        for offset_m, rate_mps in lies:
+            lie = f"offset {offset_m:g} m" if rate_mps is None else f"drift {rate_mps:g} mps"
+            # One lie per second: one object at a time.
+            rate = AT_ONCE_MPS if rate_mps is None else rate_mps
+            attack = dict(type="SlowDrift", rate_mps=rate, limit_m=offset_m, budget=1.0)
+            runs[f"{count} agents {lie}"] = dict(
+                scenario="defence_cell",
+                parameters=common | sensors_of(count) | dict(attack=attack),
+                factors=dict(offset_m=offset_m, rate_mps=rate_mps, agents=count),
+            )
     return dict(
         name="drift",
-        runs={
-            cell.label: dict(
-                scenario="defence_cell", parameters=common | sensors_of(cell.agents) | dict(attack=attack(cell))
-            )
-            for cell in cells
-        },
-        cells={cell.label: cell for cell in cells},
-        baseline=cells[0].label,
+        kind=Drift,
+        runs=runs,
+        baseline=next(iter(runs)),
         per_trial=dict(seed="placement_seed", frames="placement_frames"),
         scenes=words(chosen["scenes"]),
         trials=chosen["trials"],
@@ -62,9 +69,3 @@ def study(
         seed=seed,
         runtime="inproc",
     )
-
-
-def attack(cell):
-    """One lie per second: one object at a time."""
-    rate = AT_ONCE_MPS if cell.rate_mps is None else cell.rate_mps
-    return dict(type="SlowDrift", rate_mps=rate, limit_m=cell.offset_m, budget=1.0)

@@ -3,7 +3,8 @@
 from mast_zenoh.config import plugins, registry
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.integrity import Integrity
-from mast_zenoh.study.defences import DrivingCell, parse_choices, several, with_preset, words
+from mast_zenoh.study.defences import parse_choices, several, with_preset, words
+from mast_zenoh.study.defences.driving_matrix import DrivingMatrix
 
 #: Attacks of the scenario `driving`, each with where it is (`wire`): on what the ego receives, on what two poles send,
 #: or on what the ego receives and what its own sensors detect.
@@ -67,18 +68,21 @@ def study(
         attack_start_s=attack_start_s,
         metrics=parse_choices(metrics or "", "metrics"),
     )
-    runs, cells = {}, {}
+    runs = {}
     for name in words(defences):
-        defended = parameters_of(name)
+        defended, defence = parameters_of(name), "" if name == "none" else name
         for attack, wire in [("", ""), *map(attack_and_wire, several(words(chosen["attacks"])))]:
-            cell = DrivingCell(attack, wire, "" if name == "none" else name)
             attacked = dict(attack=attack, wire=wire) if attack else {}
-            runs[cell.label] = dict(scenario="driving", parameters=common | defended | attacked)
-            cells[cell.label] = cell
+            title = f"{attack} on {wire}" if attack else "no attack"
+            runs[f"{title}, {defence or 'no defence'}"] = dict(
+                scenario="driving",
+                parameters=common | defended | attacked,
+                factors=dict(attack=attack, wire=wire, defence=defence, car="ego"),
+            )
     return dict(
         name="driving",
+        kind=DrivingMatrix,
         runs=runs,
-        cells=cells,
         scenes=words(chosen["scenes"]),
         trials=chosen["trials"],
         frames=frames,

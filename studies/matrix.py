@@ -1,9 +1,6 @@
 """Published and own defences against published and own attacks, by kind of scene."""
 
-from functools import partial
-
 from mast_zenoh.study.defences import (
-    FieldCell,
     junctions,
     matrix_study,
     parse_choices,
@@ -12,6 +9,7 @@ from mast_zenoh.study.defences import (
     with_preset,
     words,
 )
+from mast_zenoh.study.defences.field_matrix import FieldMatrix
 
 # Stages of the command centre; those after published defences last.
 DEFENCES = "KOfN,Plausibility,Mate,FreeSpace,SequentialConsistency,FaultOrLie,Robosac,Pasac,Made,Prbi,PoseGuard,Cad"
@@ -65,6 +63,7 @@ def study(
     )
     return dict(
         name="matrix",
+        kind=FieldMatrix,
         **matrix_study(
             defences=parse_choices(chosen["defences"], "defences"),
             adversaries=parse_choices(chosen["adversaries"], "adversaries"),
@@ -74,7 +73,6 @@ def study(
             parameters=dict(
                 knowledge="trust", attack_start_s=attack_start_s, metrics=parse_choices(metrics or "", "metrics")
             ),
-            cell_type=partial(FieldCell, attack_start_s=attack_start_s),
         ),
         per_trial=dict(seed="placement_seed", frames="placement_frames"),
         scenes=scenes_of_kinds(chosen["kinds"], junctions(junction, junction)),

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.causes import CAUSES
-from mast_zenoh.metrics.trust import Roc
 
 NAN = float("nan")
 #: Minimum number of seeds for an interval.
@@ -60,6 +59,11 @@ class Estimate:
     seeds: int = 0
     left_out: int = 0
     rate: bool = False
+
+    @property
+    def value(self) -> float:
+        """The mean over trials."""
+        return self.trial_mean
 
     @property
     def mostly_zero(self) -> bool:
@@ -263,33 +267,6 @@ class AgentTrustSeries:
 STUDENT, BOOTSTRAP, POISSON, BINOMIAL = "Student's t", "bootstrap over trials", "exact Poisson", "exact binomial"
 MOSTLY_ZERO = "none: mostly 0"
 
-#: Measures of a cell, and their headings. Objects are counted per frame in the ego's picture.
-DEFENCE_MEASURES = {
-    "damage": "missed and false objects added",
-    "fn_added": "FN added",
-    "fp_added": "FP added",
-    "ospa_added_m": "OSPA added (m)",
-    "fn_vs_undefended": "FN, minus undefended",
-    "fp_vs_undefended": "FP, minus undefended",
-    "ospa_vs_undefended_m": "OSPA, minus undefended (m)",
-    "fp_identifiable": "false objects inserted, identifiable",
-    "fp_unidentifiable": "false objects inserted, not identifiable",
-    "attacked": "runs with a lie (share)",
-    "identifiable_removed": "identifiable false objects removed (share)",
-    "lies_detected": "observable lies detected (share)",
-    "median_delay_s": "median delay (s)",
-    "honest_suspended_per_hour": "honest agents suspended per hour",
-    "faulty_suspended_per_hour": "faulty agents suspended per hour",
-    "wrongly_suspended": "runs without lies that suspend an agent (share)",
-    "framed": "runs with a lie in which an honest agent is framed (share)",
-    "framed_by_minority": "framed, liars below the local majority (share)",
-    "framed_by_majority": "framed, liars in the local majority (share)",
-    "honest_majority": "objects with an honest majority (share)",
-    "liars_watched": "liars with an observable lie",
-    "liars_suspended": "of these suspended",
-    "suspended_before": "suspended before",
-}
-
 
 class Measured(NamedTuple):
     """A number over trials with its 95 % interval. NaN: unknown; infinite: beyond what was watched.
@@ -335,7 +312,7 @@ class Row:
     @property
     def idle(self) -> bool:
         """Whether adversaries lied in none of the runs, so that their attack did not take place (`attacked`)."""
-        return self.numbers["attacked"].value == 0.0
+        return "attacked" in self.numbers and self.numbers["attacked"].value == 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -360,21 +337,6 @@ class Survival:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DefenceRoc:
-    """How well one defence's suspicion tells liars from honest agents, one score for each agent-run.
-
-    partial_auc: mean share of liars detected below one false alarm per hour; unknown for less than an hour
-    hours: of all runs together
-    """
-
-    defence: str
-    roc: Roc
-    auc: Measured
-    partial_auc: Measured
-    hours: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class TrustPanel:
     """The trust of one trial over time.
 
@@ -385,47 +347,3 @@ class TrustPanel:
     agents: Sequence[AgentTrustSeries]
     left_out: int
     end_s: float
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class DefenceMatrix:
-    """The cells of a study, and a characteristic and a summary for each defence that judges agents.
-
-    rows: a defence against one adversary, with its most harmful budget: the numbers of DEFENCE_MEASURES (damage is
-           relative to no defence and no attack, with the same scene and seed), and s by conduct and state of trust
-           (`seconds faulty suspended`), over all agents and trials. They are of: attack, "" without one; budget: lies
-           per second of each adversary, None: the attack's own; budgets: number of budgets that were tried
-    own:   of the same cells, the user's metrics of the ego's picture, and how much they differ from no defence and no
-           attack
-    summaries: what a defence is worth, over all rows: shares of DEFENCE_MEASURES over all runs under attack;
-           alarms_per_hour: suspensions of honest agents in runs without an attack, of `frames` frames together;
-           fn_added, fp_added: objects per frame without an attack; faults_suspended: share of the runs with faults
-           alone that suspend an agent
-    state_shares: by defence, conduct and state of trust, the share of the time with this conduct, over all cells
-    panels: the trust of single trials;  unshown: number of pairs of a defence and an adversary without a panel
-    not_suspending: defences that judge agents and suspended nobody in any run; they have no delays
-    """
-
-    rows: Sequence[Row]
-    rocs: Sequence[DefenceRoc]
-    delays: Mapping[str, Survival]
-    summaries: Sequence[Row]
-    size: str
-    own: Sequence[Row] = ()
-    state_shares: Mapping[str, Mapping[str, Mapping[str, Measured]]] = field(default_factory=dict)
-    panels: Sequence[TrustPanel] = ()
-    unshown: int = 0
-    not_suspending: Sequence[str] = ()
-
-    def names(self, key: str) -> list[Any]:
-        """The values of a name in order of appearance, without those of runs without an attack."""
-        return list(dict.fromkeys(row.of[key] for row in self.rows if row.of["attack"] or key == "defence"))
-
-    def row(self, defence: object, attack: object, n_adversaries: object, placement: object) -> Row | None:
-        """The row of a cell; None if there is none. Without adversaries, it is the same for every attack."""
-        for row in self.rows:
-            quiet = row.of["n_adversaries"] == n_adversaries == 0
-            place = row.of["attack"], row.of["n_adversaries"], row.of["placement"]
-            if row.of["defence"] == defence and (quiet or place == (attack, n_adversaries, placement)):
-                return row
-        return None

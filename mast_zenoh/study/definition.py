@@ -14,7 +14,7 @@ from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.scenario.reading import checked_name, name_of_file
 from mast_zenoh.security.levels import LEVELS
-from mast_zenoh.study.defences.kinds import DefenceCell
+from mast_zenoh.study.defences.kinds import Factors, Kind, name_of_kind
 
 if TYPE_CHECKING:
     from mast_zenoh.study.search.plan import SearchPlan
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 #: The keys of a study, and of one of its `runs`.
 KEYS = {
     "name": "name of the study",
-    "runs": "label to dict(scenario=…, parameters=…, grid=…)",
+    "runs": "label to dict(scenario=…, parameters=…, grid=…, factors=…)",
     "baseline": "label of the run that the others are paired with; by default `baseline`, or else the first",
     "scenes": "short names, or dicts of launch-time parameters; by default the scenarios' own",
     "trials": "seeds for each configuration and scene; without it, every configuration is run once, with a report",
     "seed": "the first seed",
     "frames": "frames of each run, None for all",
     "runtime": "mesh or inproc",
-    "cells": "label to a cell of a study of defences: each trial is evaluated for it (mast_zenoh.study.defences)",
+    "kind": "what is measured of each trial, and the tables and figures: a subclass of Kind (docs/studies.md)",
     "per_trial": "launch-time parameters that get each trial's seed and frames: dict(seed=…, frames=…)",
     "search": "parameters of a run that are searched for the greatest harm (docs/search.md)",
     "driven": "dict(scenario=…, parameters=…, frames=…) with drivers: run after single runs, and its unattacked twin",
@@ -39,7 +39,7 @@ KEYS = {
 PER_TRIAL = ("seed", "frames")
 #: The label of the run with drivers, and its folder.
 DRIVEN = "driven"
-RUN_KEYS = ("scenario", "parameters", "grid")
+RUN_KEYS = ("scenario", "parameters", "grid", "factors")
 RUNTIMES = ("mesh", "inproc")
 #: Columns of results.parquet, frames.parquet and table.csv: no parameter of a grid may have one of these names.
 COLUMNS = {
@@ -62,6 +62,7 @@ class Configuration:
     scenario: file, or name of a shipped scenario
     settings: KEY=VALUE, as for `mast run --set`
     point:    this configuration's values of the grid's parameters
+    factors:  these, and those that the study file names: what its kind tells configurations apart by
     """
 
     label: str
@@ -69,6 +70,7 @@ class Configuration:
     scenario: str
     settings: tuple[str, ...]
     point: tuple[tuple[str, Any], ...]
+    factors: Factors = field(default_factory=Factors)
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ class StudyScene:
 class Study:
     """A validated study file with its parameters set; trials: None if not set.
 
-    cells: by label of configuration, its cell in a study of defences; {}: another study
+    kind: what is measured of each trial, and the tables and figures of its own; None: none
     per_trial: names of launch-time parameters that get the `seed` and the `frames` of each trial
     driven: the run with drivers after single runs; None: none
     search: what parameters are searched; the trials are then of seeds that the search does not use. None: no search
@@ -128,15 +130,26 @@ class Study:
     runtime: str | None
     security: tuple[str, ...] = ()
     attempts: tuple[Attempt, ...] = ()
-    cells: Mapping[str, DefenceCell] = field(default_factory=dict)
+    kind: type[Kind] | None = None
     per_trial: Mapping[str, str] = field(default_factory=dict)
     search: SearchPlan | None = None
     driven: DrivenRun | None = None
 
     @property
     def evaluation(self) -> str:
-        """The module of `study.defences` by which each trial is evaluated; "": another study."""
-        return next((cell.kind for cell in self.cells.values()), "")
+        """The name of the kind by which each trial is evaluated; "": none."""
+        return name_of_kind(self.kind) if self.kind else ""
+
+    @property
+    def kind_files(self) -> tuple[str, ...]:
+        """The user's file that defines the kind, if any."""
+        file = self.evaluation.rpartition(":")[0]
+        return (file,) if file.endswith(".py") else ()
+
+    @property
+    def factors(self) -> dict[str, Factors]:
+        """By label of configuration, its factors."""
+        return {each.label: each.factors for each in self.configurations}
 
     def trial_settings(self, seed: int, frames: int | None) -> tuple[str, ...]:
         """The settings of a trial that depend on its seed and its frames."""
@@ -208,7 +221,7 @@ def _validated(path: Path, content: Any) -> Study:
         frames=_integer(content, "frames", 1),
         runtime=runtime,
         security=_levels(content.get("security", ())),
-        cells=_cells(content.get("cells", {}), labels),
+        kind=_kind(content.get("kind"), configurations),
         per_trial=dict(per_trial),
         search=_search(content, baseline) if content.get("search") is not None else None,
         driven=_driven(path, content["driven"], labels) if content.get("driven") is not None else None,
@@ -253,14 +266,17 @@ def _attempts(content: Any, levels: Sequence[str]) -> tuple[Attempt, ...]:
     return tuple(content)
 
 
-def _cells(content: Any, labels: Sequence[str]) -> dict[str, DefenceCell]:
-    """The cells of all configurations, or of none."""
-    valid = isinstance(content, Mapping) and all(isinstance(cell, DefenceCell) for cell in content.values())
-    _check(valid, f"cells: found {content!r:.120}, expected label to {DefenceCell.__name__}")
-    _check(len({type(cell) for cell in content.values()}) <= 1, "cells: expected cells of one class, found several")
-    different = sorted(set(content) ^ set(labels)) if content else []
-    _check(not different, f"cells: {different[0] if different else ''!r}: expected exactly the labels of `runs`")
-    return dict(content)
+def _kind(kind: Any, configurations: Sequence[Configuration]) -> type[Kind] | None:
+    """The kind of a study; its configurations have factors that differ."""
+    if kind is None:
+        return None
+    valid = isinstance(kind, type) and issubclass(kind, Kind)
+    _check(valid, f"kind: found {kind!r:.120}, expected a subclass of {Kind.__name__}")
+    labels = {each.factors: each.label for each in configurations}
+    for each in configurations:
+        other = labels[each.factors]
+        _check(other == each.label, f"runs.{each.label}.factors: the same as of {other!r}, expected others")
+    return kind  # type: ignore[no-any-return]
 
 
 def _expand(path: Path, label: Any, run: Any) -> list[Configuration]:
@@ -270,8 +286,8 @@ def _expand(path: Path, label: Any, run: Any) -> list[Configuration]:
     _check(valid, f"{place}: found {run!r}, expected dict(scenario=…, parameters=…)")
     for key in run:
         _check(key in RUN_KEYS, f"{place}.{key}: unknown key{nearest(str(key), RUN_KEYS)}")
-    parameters, grid = run.get("parameters", {}), run.get("grid", {})
-    for key, values in (("parameters", parameters), ("grid", grid)):
+    parameters, grid, factors = (run.get(key, {}) for key in ("parameters", "grid", "factors"))
+    for key, values in (("parameters", parameters), ("grid", grid), ("factors", factors)):
         _check(isinstance(values, Mapping), f"{place}.{key}: found {values!r}, expected a dict")
     for name, values in grid.items():
         listed = isinstance(values, (list, tuple)) and values
@@ -287,7 +303,8 @@ def _expand(path: Path, label: Any, run: Any) -> list[Configuration]:
         sibling = path.parent / str(run["scenario"])  # scenario paths are relative to the study file
         scenario_file = str(sibling) if sibling.is_file() else str(run["scenario"])
         settings = settings_of({**parameters, **point})
-        configurations.append(Configuration(name, str(label), scenario_file, settings, tuple(point.items())))
+        known = Factors(point | dict(factors))
+        configurations.append(Configuration(name, str(label), scenario_file, settings, tuple(point.items()), known))
     return configurations
 
 

@@ -25,7 +25,7 @@ from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study.trial import Outcome, Trial, environment
 
 if TYPE_CHECKING:
-    from mast_zenoh.study.defences.kinds import Collection
+    from mast_zenoh.study.defences.kinds import Kind
 
 _CONNECT_S = 20
 
@@ -57,9 +57,7 @@ def run(trial: Trial) -> Outcome:
         agents = {agent for spec in resolved.nodes.values() if spec.role == "adversary" for agent in spec.agents}
         compromised = tuple(sorted(agents))
         kind = _kind(trial)
-        part = None
-        if kind is not None:
-            part = {} if kind.from_metrics else None if _is_disturbed(resolved) else kind.without_lies
+        part = None if kind is None or _is_disturbed(resolved) else kind.without_lies
         if trial.runtime == "inproc" and (kind is None or part is not None) and not trial.folder:
             metrics, table, handler_failures, cpu_s = _run_in_process(resolved, trial.allow_failures)
             metrics = metrics if part is None else {**metrics, "defence": part}
@@ -82,13 +80,14 @@ def _resolve(trial: Trial) -> Resolved:
     return scenario.resolve(path, loaded, seed=trial.seed, frames=trial.frames, record=record)
 
 
-def _kind(trial: Trial) -> type[Collection] | None:
-    """The kind of study of defences that evaluates a trial; None: another study."""
+def _kind(trial: Trial) -> type[Kind] | None:
+    """The kind of study that evaluates a trial in its run folder; None: nothing but the metrics is needed."""
     if not trial.evaluation:
         return None
-    from mast_zenoh.study.defences.kinds import collection_of  # other studies do without
+    from mast_zenoh.study.defences.kinds import Kind, kind_of  # other studies do without
 
-    return collection_of(trial.evaluation)
+    kind = kind_of(trial.evaluation)
+    return None if kind.evaluate is Kind.evaluate else kind
 
 
 def _is_disturbed(resolved: Resolved) -> bool:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.metrics import CAUSES, Table, increments
+from mast_zenoh.metrics.measures import COLUMNS
 from mast_zenoh.study.trial import Outcome, Trial
 
 NAN = float("nan")
@@ -84,6 +85,13 @@ def scored_frames(metrics: Mapping[str, Any]) -> tuple[int, int]:
     """The first and the last scored frame of metrics.json; (0, -1): none."""
     first, last = metrics.get("scored_frames") or (0, -1)
     return first, last
+
+
+def own_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
+    """The user's metrics of an estimate in metrics.json, by `own NAME`."""
+    own = {f"own {name}": value for name, value in summary.items() if name not in COLUMNS}
+    means = {name: value["mean"] if isinstance(value, Mapping) else value for name, value in own.items()}
+    return {name: NAN if value is None else float(value) for name, value in means.items()}
 
 
 def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:

@@ -80,16 +80,14 @@ def write(
     from mast_zenoh.report.tables import study as study_table
 
     seeds = tuple(sorted({trial.seed for trial in trials}))
-    collection = None
-    if study.cells:
-        scenes = [scene.label for scene in study.scenes]
-        collection = kinds.collection_of(study.evaluation)(study.cells, scenes, seeds)
-    done, rows = _write_parquet(study, store, trials, seeds, collection)
+    scenes = tuple(scene.label for scene in study.scenes)
+    kind = study.kind(study.factors, scenes, seeds) if study.kind else None
+    done, rows = _write_parquet(study, store, trials, seeds, kind)
     facts = StudyFacts(
         name=study.name,
         baseline=study.baseline,
         configurations={item.label: (item.scenario, item.settings) for item in study.configurations},
-        scenes=tuple(scene.label for scene in study.scenes),
+        scenes=scenes,
         seeds=seeds,
         frames=trials[0].frames,
         runtime=trials[0].runtime,
@@ -106,7 +104,7 @@ def write(
     }
     for name, text in texts.items():
         write_bytes(store.folder / name, text.encode())
-    figures = {} if study.cells else figures_over_trials(rows, facts)
+    figures = {} if kind else figures_over_trials(rows, facts)
     for item in figures.values():
         item.save(store.folder)
     names = [
@@ -115,7 +113,7 @@ def write(
         *texts,
         *(name for figure in figures.values() for name in figure.names),
     ]
-    own = searched if collection is None else collection.write(store.folder)
+    own = kind.write(store.folder) if kind else searched
     if own is not None:
         figures = {**own.figures, **figures}
         names += own.names
@@ -125,9 +123,9 @@ def write(
 
 
 def _write_parquet(
-    study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int], collection: kinds.Collection | None
+    study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int], kind: kinds.Kind | None
 ) -> tuple[Counter[str], list[StudyRow]]:
-    """Write results.parquet and frames.parquet; add the trials to `collection`.
+    """Write results.parquet and frames.parquet; add the trials to `kind`.
 
     Returns the numbers of finished trials by configuration, and the table rows.
     Only the trials of one scene and seed are in memory at a time.
@@ -153,8 +151,8 @@ def _write_parquet(
                 trial_file.append(per_trial.add(to_arrow(numbers.columns(outcome.trial, trial_numbers)), label))
                 frame_file.append(per_frame.add(to_arrow(numbers.frames(outcome)), label))
                 done[label] += 1
-                if collection is not None:
-                    collection.add(outcome)
+                if kind is not None:
+                    kind.add(outcome)
     return done, samples.rows()
 
 

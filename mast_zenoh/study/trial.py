@@ -49,7 +49,7 @@ class Trial:
     allow_failures:       whether the trial counts even if handlers of its nodes failed
     idle:                 s of scene time: start of the first attack and end of the trial, if the trial ends first;
                           None: an attack starts, or there is none
-    evaluation:           module of `study.defences` by which it is evaluated; "": none
+    evaluation:           name of the kind of study by which it is evaluated (`kinds.kind_of`); "": none
     folder:               where its recorded run is kept; "": nowhere
     """
 
@@ -169,7 +169,7 @@ def digest_of(
     """Digest of a scenario's content, files and run options; 40 hexadecimal digits.
 
     environment: code and versions
-    evaluation: module of `study.defences` by which the trial is evaluated; "": none
+    evaluation: name of the kind of study by which the trial is evaluated; "": none
     """
     parts = {
         "scenario": loaded,

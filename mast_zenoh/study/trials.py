@@ -141,8 +141,8 @@ def plan(
     allow_failures: whether a trial counts even if handlers of its nodes failed
 
     Every configuration is resolved in every scene with the first seed. Raises what `scenario.load` and
-    `scenario.resolve` raise, and ConfigurationError for a study of defences on calibration data, or with an attack that
-    begins after the end.
+    `scenario.resolve` raise, and ConfigurationError for a study of a shipped kind on calibration data, or of any
+    kind with an attack that begins after the end.
     """
     by_seed: list[list[Trial]] = [[] for _ in range(count)]
     result = []
@@ -155,12 +155,13 @@ def plan(
             path, loaded = scenario.load(configuration.scenario, settings)
             resolved = scenario.resolve(path, loaded, seed=seed, frames=frames)
             scene = registry.build(resolved.scene, scenes.Scene, f"{path}: scene")
-            if study.cells:
+            if study.kind and not study.kind_files:
                 refuse_calibration_data(range(seed, seed + count), resolved.scene, str(study.path))
             environment = identity.environment(resolved.plugins.values())
-            files = identity.files_key((*identity.user_files(path, loaded, resolved.modules), *scene.inputs()))
+            user_files = identity.user_files(path, loaded, (*resolved.modules, *study.kind_files))
+            files = identity.files_key((*user_files, *scene.inputs()))
             idle = _idle_period(resolved)
-            if study.cells and idle is not None:
+            if study.kind and idle is not None:
                 raise late_attack(study, configuration.label, idle)
             for index, seed_trials in enumerate(by_seed):
                 if study.per_trial and index:

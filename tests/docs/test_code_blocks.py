@@ -29,6 +29,7 @@ import typer
 from mast_ros2.type_store import decode
 from ros2_keys import parse_data_key
 
+import mast_zenoh as mast
 from mast_zenoh import scenario
 from mast_zenoh.arrays.states import Detections, ObjectStates
 from mast_zenoh.cli.app import app
@@ -207,6 +208,12 @@ def study_of_ones_own(block: Block, folder: Path) -> None:
     assert (study.trials, len(study.scenes), len(study.configurations)) == (20, 2, 4)
 
 
+def kind_of_ones_own(block: Block, folder: Path) -> None:
+    (folder / "mine.py").write_text(block.content)
+    finished = mast.study(folder / "mine.py", trials=1, frames=5, poles=(1, 2), jobs=1, out=folder / "study")
+    assert (finished.path / "misses.md").read_text().splitlines()[-1].startswith("| 2 | ")
+
+
 def attempts_of_ones_own(block: Block, folder: Path) -> None:
     (folder / "mine.py").write_text(block.content)
     study = definition.load(str(folder / "mine.py"))
@@ -304,7 +311,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "security.md": [attempts_of_ones_own, expired_credentials],
     "sensors.md": [None] * 3,  # test_page_examples.py
     "simulation.md": [simulated_run] * 4,
-    "studies.md": [study_of_ones_own],
+    "studies.md": [study_of_ones_own, kind_of_ones_own],
     "tracking.md": [tracking_by_hand],
     "v2x.md": [whole_scenario],
 }

@@ -10,17 +10,15 @@ import numpy as np
 from mast_zenoh.metrics.study_results import (
     BINOMIAL,
     BOOTSTRAP,
-    DEFENCE_MEASURES,
     POISSON,
     AgentTrustSeries,
-    DefenceMatrix,
-    DefenceRoc,
     Measured,
     Row,
     Survival,
     TrustPanel,
 )
 from mast_zenoh.metrics.trust import roc
+from mast_zenoh.study.defences.matrix_tables import DEFENCE_MEASURES, DefenceRoc, MatrixTable
 
 DELAY = Survival(np.array([0.0, 0.3, 11.0]), np.array([1.0, 0.4, 0.4]), 3, 5)
 RUNS = Measured(0.0, 0.0, 0.07, 48, 0, BINOMIAL)
@@ -80,13 +78,13 @@ def panel(title: str) -> TrustPanel:
     return TrustPanel(title, [agent("ego"), liar, faulty, agent("infra_3"), agent("infra_4")], 0, 15.0)
 
 
-def matrix(panels: int = 1, unshown: int = 0) -> DefenceMatrix:
+def matrix(panels: int = 1, unshown: int = 0) -> MatrixTable:
     rows = [row(defence, attack) for defence in ("Open", "Wall") for attack in ("", "Ghost", "fault:pose")]
     area = Measured(0.9, 0.85, 0.95, 48, 0, BOOTSTRAP)
     curve = DefenceRoc("Wall", roc([1.0, 0.0], [True, False]), area, Measured(0.5, math.nan, math.nan, 4), 1.5)
     titles = [f"Wall against Ghost{number} (1, worst)" for number in range(panels)]
     size = "6 seeds \u00d7 8 scenes"
-    return DefenceMatrix(
+    return MatrixTable(
         rows=rows,
         rocs=[curve],
         delays={"Wall": DELAY},

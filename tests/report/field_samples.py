@@ -10,13 +10,9 @@ import numpy as np
 from defence_samples import ATTACKED, matrix, summary
 from defence_samples import row as defence_row
 
-from mast_zenoh.metrics.field_results import (
-    FieldBreakdown,
-    FieldMatrix,
-    Published,
-    PublishedNumber,
-)
 from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Measured, Row
+from mast_zenoh.study.defences.published import Published, PublishedNumber
+from mast_zenoh.study.defences.scoreboard import FieldTable
 
 SCENES = ("4 poles", "4 cars")
 IDLE = Measured(0.0, 0.0, 0.1, 30, 0, BINOMIAL)
@@ -32,7 +28,7 @@ def field(
     scenes: Sequence[str] = SCENES,
     counts: Sequence[int] = (2,),
     idle: bool = False,
-) -> FieldMatrix:
+) -> FieldTable:
     """The first defence helps against the first attack, in the first scene most; the last one does harm.
 
     idle: whether the first attack never takes place against the first defence
@@ -62,18 +58,23 @@ def field(
                 of = dict(scene=scene, defence=defence, attack=attack, n_adversaries=count, placement=placement)
                 rows.append(Row(of, 30, numbers))
     breakdowns = [
-        FieldBreakdown(
-            scene=scene,
-            defence=defence,
-            agents=5 if scene else 0,
-            broken={
-                0: Measured(0.0, 0.0, 0.1, 30),
-                1: Measured(0.2, 0.1, 0.3, 30),
-                2: Measured(0.8, 0.6, 0.9, 30),
+        Row(
+            {
+                "scene": scene,
+                "defence": defence,
+                "agents": 5 if scene else 0,
+                "weakest": "Ghost" if defence == "Wall" else "",
             },
-            point=Measured(1.25, 1.1, 1.5, 30) if defence == "Wall" else Measured(math.inf, 1.8, math.inf, 30),
-            weakest="Ghost" if defence == "Wall" else "",
-            weakest_at=1.25 if defence == "Wall" else math.inf,
+            30,
+            {
+                "broken 0": Measured(0.0, 0.0, 0.1, 30),
+                "broken 1": Measured(0.2, 0.1, 0.3, 30),
+                "broken 2": Measured(0.8, 0.6, 0.9, 30),
+                "breaks_at": Measured(1.25, 1.1, 1.5, 30)
+                if defence == "Wall"
+                else Measured(math.inf, 1.8, math.inf, 30),
+                "weakest_at": Measured(1.25 if defence == "Wall" else math.inf),
+            },
         )
         for scene in ("", *scenes)
         for defence in every
@@ -90,23 +91,16 @@ def field(
         )
         for defence in defences
     ]
+    wall = Published(
+        method="Wall",
+        source="Wall & Brick, Journal of Walls 2025",
+        figure="91.5 % of the ghosts",
+        basis="abstract only, not checked",
+        quantities=("lies_detected",),
+        why="Walls are not tracks.",
+    )
     published = [
-        Published(
-            method="Wall",
-            source="Wall & Brick, Journal of Walls 2025",
-            figure="91.5 % of the ghosts",
-            basis="abstract only, not checked",
-            quantities=("lies_detected",),
-            ours=[
-                PublishedNumber(
-                    quantity="lies_detected",
-                    defence="Wall",
-                    attacks=["Ghost"],
-                    value=Measured(0.5, 0.4, 0.6, 30, 0, BOOTSTRAP),
-                )
-            ],
-            why="Walls are not tracks.",
-        )
+        (wall, [PublishedNumber("lies_detected", "Wall", ["Ghost"], Measured(0.5, 0.4, 0.6, 30, 0, BOOTSTRAP))])
     ]
     of_matrix = matrix()
     of_matrix = replace(
@@ -121,7 +115,7 @@ def field(
         rocs=[],
         delays={},
     )
-    return FieldMatrix(
+    return FieldTable(
         matrix=of_matrix,
         scenes=list(scenes),
         rows=rows,

@@ -13,10 +13,10 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
 from mast_zenoh.metrics.study_results import BINOMIAL, Measured
-from mast_zenoh.report.figures import defences
-from mast_zenoh.report.figures.defences import figures_of_defences
+from mast_zenoh.report.figures import facets
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.trust import LOG_ODDS, draw_agent, legend, trust_figure
+from mast_zenoh.study.defences.matrix_figures import figures_of_defences
 from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT
 
 
@@ -29,7 +29,7 @@ def test_every_figure_is_drawn_and_names_the_worst_adversary_in_words() -> None:
     assert "Wall 0.90" in figures["roc"].alt
 
 
-def test_the_heat_maps_have_a_scale_and_explain_brackets_and_hatching(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_heat_maps_have_a_scale_and_explain_their_marks(monkeypatch: pytest.MonkeyPatch) -> None:
     figures: list[Figure] = []
 
     class Kept(Figure):
@@ -37,16 +37,17 @@ def test_the_heat_maps_have_a_scale_and_explain_brackets_and_hatching(monkeypatc
             super().__init__(*arguments, **options)  # type: ignore[arg-type]
             figures.append(self)
 
-    monkeypatch.setattr(defences, "Figure", Kept)
+    monkeypatch.setattr(facets, "Figure", Kept)
     whole = matrix()
     silent = {"attacked": Measured(0.0, 0.0, 0.1, 48, 0, BINOMIAL)}
     rows = [*(each for each in whole.rows if (each.of["defence"], each.of["attack"]) != ("Wall", "Ghost"))]
     figures_of_defences(replace(whole, rows=[*rows, row("Wall", "Ghost", **silent)]))
     maps, scale = figures[0].axes
-    label = scale.get_xlabel().replace("\n", " ")
-    assert label.startswith("missed and false objects added per frame (brackets: the 95 % interval contains 0")
-    assert "hatched: the adversaries never lied" in label
-    assert [patch.get_xy() for patch in maps.patches if patch.get_hatch()] == [(-0.5, 0.5)]  # type: ignore[attr-defined]
+    assert scale.get_xlabel() == "wrong objects added per frame"
+    key = figures[0].texts[0].get_text().replace("\n", " ")
+    assert key.startswith("Italic: the 95 % interval contains 0")
+    assert "Hatched: the adversaries lied in none" in key
+    assert [patch.get_xy() for patch in maps.patches if patch.get_hatch()] == [(0.5, -0.5)]  # type: ignore[attr-defined]
 
 
 def test_every_figure_of_the_study_is_printed_too() -> None:

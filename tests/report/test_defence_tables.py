@@ -10,10 +10,10 @@ from dataclasses import replace
 import pytest
 from defence_samples import SHARE, matrix, row, summary
 
-from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, DEFENCE_MEASURES, STUDENT, DefenceMatrix, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Measured
 from mast_zenoh.report.compare import as_text
-from mast_zenoh.report.tables.defences import defence_tables
 from mast_zenoh.report.tables.text_table import measured, median_delay
+from mast_zenoh.study.defences.matrix_tables import DEFENCE_MEASURES, MatrixTable, defence_tables
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_a_delay_of_which_less_than_half_is_known_says_so() -> None:
     )
 
 
-def section(table: DefenceMatrix, title: str) -> str:
+def section(table: MatrixTable, title: str) -> str:
     return defence_tables(table).as_markdown().split(f"## {title}\n")[1].split("## ")[0]
 
 

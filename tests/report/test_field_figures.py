@@ -9,10 +9,10 @@ import pytest
 from field_samples import SCENES, field
 from matplotlib.axes import Axes
 
-from mast_zenoh.metrics.field_results import FieldMatrix
-from mast_zenoh.report.figures import field_matrix
-from mast_zenoh.report.figures.field_matrix import figures_of_field
+from mast_zenoh.report.figures import facets
 from mast_zenoh.report.figures.style import Figure
+from mast_zenoh.study.defences.matrix_figures import harm_by_scene
+from mast_zenoh.study.defences.scoreboard import FieldTable
 
 DEFENCES = ("KOfN", "SequentialConsistency", "Robosac", "Cad")
 ATTACKS = ("coordinated", "BlindAreaConfusion", "Flood")
@@ -28,7 +28,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
             super().__init__(*arguments, **options)  # type: ignore[arg-type]
             figures.append(self)
 
-    monkeypatch.setattr(field_matrix, "Figure", Kept)
+    monkeypatch.setattr(facets, "Figure", Kept)
     return figures
 
 
@@ -38,7 +38,7 @@ def panels(figure: Figure) -> list[Axes]:
 
 def test_a_panel_for_each_kind_of_scene_has_a_number_for_each_attack_and_defence(drawn: list[Figure]) -> None:
     table = field(DEFENCES, ATTACKS)
-    figures_of_field(table)
+    harm_by_scene(table)
     first, second = panels(drawn[0])
     assert [axes.get_title(loc="left") for axes in (first, second)] == ["4 poles", "4 cars"]
     assert [text.get_text() for text in first.get_yticklabels()] == ["no attack", *ATTACKS]
@@ -54,14 +54,14 @@ def test_a_panel_for_each_kind_of_scene_has_a_number_for_each_attack_and_defence
 
 
 def test_colours_are_centred_at_no_change(drawn: list[Figure]) -> None:
-    figures_of_field(field(DEFENCES, ATTACKS))
+    harm_by_scene(field(DEFENCES, ATTACKS))
     norms = [axes.images[0].norm for axes in panels(drawn[0])]
     assert {float(norm(0.0)) for norm in norms} == {0.5}
     assert {(norm.vmin, norm.vmax) for norm in norms} == {(-30.0, 30.0)}, "a flood of 26.4 is within"
 
 
 def test_a_corner_marks_where_honest_agents_are_suspended_and_how_often(drawn: list[Figure]) -> None:
-    figures_of_field(field(DEFENCES, ATTACKS))
+    harm_by_scene(field(DEFENCES, ATTACKS))
     sizes: dict[int, set[float]] = {}
     for patch in panels(drawn[0])[0].patches:
         corners = patch.get_path().vertices
@@ -75,7 +75,7 @@ def test_no_text_overlaps_another_or_leaves_the_figure(
     drawn: list[Figure], counts: tuple[int, ...], scenes: tuple[str, ...]
 ) -> None:
     many = (*(f"Defence{index}" for index in range(8)), "SequentialConsistency")
-    figures_of_field(field(many, ATTACKS, scenes, counts))
+    harm_by_scene(field(many, ATTACKS, scenes, counts))
     figure = drawn[0]
     upright = [text for axes in figure.axes for text in (*axes.texts, *axes.get_yticklabels())]
     upright += [axes.title for axes in figure.axes] + [axes._left_title for axes in figure.axes]  # type: ignore[attr-defined]
@@ -91,13 +91,13 @@ def test_no_text_overlaps_another_or_leaves_the_figure(
 
 
 def test_the_words_say_where_a_defence_helps_and_harms_most() -> None:
-    figure = figures_of_field(field())["harm_by_scene"]
+    figure = harm_by_scene(field())["harm_by_scene"]
     assert "4 poles: \u221226.40 by Wall against Flood to" in figure.alt
     assert "2 adversaries, random" in figure.caption
 
 
 def test_the_figure_explains_its_marks(drawn: list[Figure]) -> None:
-    figures_of_field(field(DEFENCES, ATTACKS, idle=True))
+    harm_by_scene(field(DEFENCES, ATTACKS, idle=True))
     (key,) = (text.get_text() for text in drawn[0].texts)
     words = key.replace("\n", " ")
     for mark in ("Italic: the 95 % interval contains 0", "Corner: an honest agent is suspended", "Hatched: the adv"):
@@ -105,7 +105,7 @@ def test_the_figure_explains_its_marks(drawn: list[Figure]) -> None:
 
 
 def test_a_cell_whose_attack_never_took_place_is_hatched_and_has_no_colour(drawn: list[Figure]) -> None:
-    figure = figures_of_field(field(DEFENCES, ATTACKS, idle=True))["harm_by_scene"]
+    figure = harm_by_scene(field(DEFENCES, ATTACKS, idle=True))["harm_by_scene"]
     (first, _) = panels(drawn[0])
     assert [patch.get_xy() for patch in first.patches if patch.get_hatch()] == [(-0.5, 0.5)]  # type: ignore[attr-defined]
     values = np.ma.filled(np.asarray(first.images[0].get_array(), float), np.nan)
@@ -114,7 +114,7 @@ def test_a_cell_whose_attack_never_took_place_is_hatched_and_has_no_colour(drawn
 
 
 def test_runs_without_an_attack_are_shown_once_for_all_numbers_of_adversaries(drawn: list[Figure]) -> None:
-    figures_of_field(field(DEFENCES, ATTACKS, SCENES[:1], (1, 2)))
+    harm_by_scene(field(DEFENCES, ATTACKS, SCENES[:1], (1, 2)))
     one, two = panels(drawn[0])
     assert [len(np.asarray(axes.images[0].get_array())) for axes in (one, two)] == [4, 3]
     assert one.get_position().y0 == pytest.approx(two.get_position().y0)
@@ -122,15 +122,15 @@ def test_runs_without_an_attack_are_shown_once_for_all_numbers_of_adversaries(dr
 
 
 def test_the_cells_of_a_single_defence_are_not_stretched(drawn: list[Figure]) -> None:
-    figures_of_field(field(DEFENCES[:1], ATTACKS))
+    harm_by_scene(field(DEFENCES[:1], ATTACKS))
     (axes, _) = panels(drawn[0])
     assert axes.get_position().width * drawn[0].get_figwidth() <= 1.0
 
 
 def test_without_a_defence_or_an_attack_there_is_no_figure() -> None:
-    table: FieldMatrix = field(defences=())
-    assert figures_of_field(table) == {}
+    table: FieldTable = field(defences=())
+    assert harm_by_scene(table) == {}
     alone = replace(
         table, matrix=replace(table.matrix, rows=[row for row in table.matrix.rows if not row.of["attack"]])
     )
-    assert figures_of_field(alone) == {}
+    assert harm_by_scene(alone) == {}

@@ -8,10 +8,9 @@ from dataclasses import replace
 
 from field_samples import SCENES, field
 
-from mast_zenoh.metrics.field_results import FIELD_MEASURES
 from mast_zenoh.report.compare import as_text
-from mast_zenoh.report.tables.field_matrix import field_tables, published_tables
 from mast_zenoh.report.tables.text_table import TextTable
+from mast_zenoh.study.defences.field_tables import FIELD_MEASURES, field_tables, published_tables
 
 
 def table_of(title: str) -> TextTable:
@@ -81,7 +80,7 @@ def test_the_csv_has_every_measure_by_scene_and_latex_is_ascii() -> None:
 
 def test_a_method_without_a_known_figure_says_so() -> None:
     whole = field()
-    unknown = replace(whole, published=[replace(whole.published[0], figure="", ours=[])])
+    unknown = replace(whole, published=[(replace(whole.published[0][0], figure=""), [])])
     (line,) = published_tables(unknown).tables[0].lines
     assert line[2] == "none known to us"
     assert line[4] == "\u2013"

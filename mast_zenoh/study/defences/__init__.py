@@ -5,25 +5,14 @@
                breakdown (with how many liars a defence breaks), field_matrix (the matrix of published and own methods),
                cooperation (how far a lie reaches, by where tracks are fused), driving_matrix (what attacks do to a
                driven car, with each defence)
-    cells      what study files import of the kinds, which load more
     published  what papers report of these methods
-    matrix_trial    the evaluation of one trial of the matrix
-    matrix_records  what the matrix needs of each trial, and its measures over many
-    choices    names, files or dicts of defences, adversaries and faults, and which agents are compromised
+    matrix_trial    what the matrix needs of one trial
+    choices    names, files or dicts of defences, adversaries and faults, which agents are compromised, and their runs
     intervals  95 % intervals over trials, and times until detection
 
 See docs/defence_studies.md.
 """
 
-from mast_zenoh.study.defences.cells import (
-    BreakdownCell,
-    Cell,
-    CooperationCell,
-    DriftCell,
-    DrivingCell,
-    FieldCell,
-    matrix_study,
-)
 from mast_zenoh.study.defences.choices import (
     COORDINATED,
     PLACEMENTS,
@@ -32,6 +21,7 @@ from mast_zenoh.study.defences.choices import (
     faults_of,
     has_budget,
     junctions,
+    matrix_study,
     measured_by,
     parse_choices,
     place,
@@ -48,12 +38,6 @@ __all__ = [
     "COORDINATED",
     "PLACEMENTS",
     "UNCOORDINATED",
-    "BreakdownCell",
-    "Cell",
-    "CooperationCell",
-    "DriftCell",
-    "DrivingCell",
-    "FieldCell",
     "adversary_base",
     "faults_of",
     "has_budget",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,10 +24,9 @@ from mast_zenoh.report.tables.text_table import (
     table_of_rows,
 )
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.study.defences import kinds
-from mast_zenoh.study.defences.cells import BreakdownCell
 from mast_zenoh.study.defences.choices import honest_majority
 from mast_zenoh.study.defences.intervals import pooled, share_of_trials
+from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.numbers import ego, scored_frames
 from mast_zenoh.study.trial import Outcome
 
@@ -43,68 +43,55 @@ _SHARES, _MEANS = ("broken", "worse", "honest_first"), ("honest_suspended", "hon
 Tables = tuple[Sequence[Row], Sequence[Row]]
 
 
-@dataclass(frozen=True, slots=True)
-class BreakdownRecord:
-    """What the tables need of one trial.
+def suspended_before_liars(
+    honest_s: Mapping[str, float], liar_s: float, without_liars_s: Mapping[str, float] | None
+) -> bool:
+    """Whether an honest agent is suspended before any compromised one.
+
+    honest_s: s of the first suspension of each honest agent that was suspended;  liar_s: of a compromised one
+    without_liars_s: the first, of the same scene and seed without liars. An agent that is suspended there by the same
+    time is a false alarm that no liar caused, and does not count; None: unknown, so all count
+    """
+    alarms_s = without_liars_s or {}
+    return any(
+        time_s < liar_s and alarms_s.get(name, math.inf) > time_s + _ROUNDING_S for name, time_s in honest_s.items()
+    )
+
+
+def measures_of_breaking(outcome: Outcome, attack_start_s: float) -> dict[str, Any]:
+    """Of a trial with the part `defence` of `Breakdown.evaluate`:
 
     worse:    whether the picture has more missed and false objects than the ego alone, in all frames from the start
               of the attack on
     honest_s: s of the first suspension of each honest agent that was suspended
     liar_s:   s of the first suspension of a compromised agent; infinite: none
-    honest:   number of honest agents
     honest_majority: share of the objects that more honest agents see than compromised ones
     """
-
-    worse: bool
-    honest_s: Mapping[str, float]
-    liar_s: float
-    honest: int
-    honest_majority: float
-
-    def honest_first(self, without_liars: BreakdownRecord | None) -> bool:
-        """Whether an honest agent is suspended before any compromised one.
-
-        without_liars: the same scene and seed. An agent that is suspended there by the same time is a false
-        alarm that no liar caused, and does not count; None: unknown, so all count
-        """
-        false_alarms = {} if without_liars is None else without_liars.honest_s
-        return any(
-            time_s < self.liar_s and false_alarms.get(name, math.inf) > time_s + _ROUNDING_S
-            for name, time_s in self.honest_s.items()
-        )
-
-    @property
-    def honest_suspended(self) -> float:
-        """Share of the honest agents that are suspended at any time, whatever the reason."""
-        return len(self.honest_s) / self.honest
-
-    @classmethod
-    def of(cls, cell: BreakdownCell, outcome: Outcome) -> BreakdownRecord:
-        """The record of a trial with the part `defence` of its metrics."""
-        metrics, per_frame = outcome.metrics, outcome.per_frame
-        part = metrics["defence"]
-        agents = metrics.get("integrity", {}).get("agents", {})
-        suspended = {
-            name: min(each["from_s"] for each in agent["suspensions"])
-            for name, agent in agents.items()
-            if agent["suspensions"]
-        }
-        compromised = set(part["compromised"])
-        first, last = scored_frames(metrics)
-        start = int(np.searchsorted(part["frames_s"], cell.attack_start_s - 1e-6))
-        frames = range(max(first, start), last + 1)
-        agent = ego(metrics)
-        return cls(
-            worse=_errors(per_frame, agent, "picture", frames) > _errors(per_frame, agent, "local", frames),
-            honest_s={name: time_s for name, time_s in suspended.items() if name not in compromised},
-            liar_s=min((suspended[name] for name in compromised & suspended.keys()), default=math.inf),
-            honest=cell.agents - len(compromised),
-            honest_majority=float(part["honest_majority"]),
-        )
+    metrics, per_frame = outcome.metrics, outcome.per_frame
+    part, agents = metrics["defence"], metrics.get("integrity", {}).get("agents", {})
+    suspended = {
+        name: min(each["from_s"] for each in agent["suspensions"])
+        for name, agent in agents.items()
+        if agent["suspensions"]
+    }
+    compromised = set(part["compromised"])
+    first, last = scored_frames(metrics)
+    start = int(np.searchsorted(part["frames_s"], attack_start_s - _ROUNDING_S))
+    frames = range(max(first, start), last + 1)
+    agent = ego(metrics)
+    return {
+        "worse": _errors(per_frame, agent, "picture", frames) > _errors(per_frame, agent, "local", frames),
+        "honest_s": {name: time_s for name, time_s in suspended.items() if name not in compromised},
+        "liar_s": min((suspended[name] for name in compromised & suspended.keys()), default=math.inf),
+        "honest_majority": float(part["honest_majority"]),
+    }
 
 
-class Collection(kinds.Collection):
-    """Broken trials and breakdown points."""
+class Breakdown(Kind):
+    """Broken trials and breakdown points.
+
+    Its factors: attack, "" without liars; agents, the ego included; liars; attack_start_s, s of scene time
+    """
 
     name = "breakdown"
     drawn = ("breakdown",)
@@ -119,16 +106,18 @@ class Collection(kinds.Collection):
         """
         recording = Recording.load(run.path / RECORDING)
         times_s = (recording.times_ns - recording.times_ns[0]) * 1e-9
+        lying = [name in compromised for name in recording.agent_names]
         return {
-            "honest_majority": honest_majority(
-                recording.points, [name in compromised for name in recording.agent_names]
-            ),
+            "honest_majority": honest_majority(recording.points, lying),
             "compromised": sorted(compromised),
             "frames_s": np.round(times_s, 9).tolist(),
         }
 
-    def record(self, cell: BreakdownCell, outcome: Outcome) -> BreakdownRecord:
-        return BreakdownRecord.of(cell, outcome)
+    def measures(self, factors: Factors, outcome: Outcome) -> dict[str, Any]:
+        """Those of `measures_of_breaking`, and the share of the honest agents that are suspended at any time."""
+        result = measures_of_breaking(outcome, factors["attack_start_s"])
+        honest = factors["agents"] - len(outcome.metrics["defence"]["compromised"])
+        return result | {"honest_suspended": len(result["honest_s"]) / honest}
 
     def table(self) -> Tables:
         """The rows of all cells, with shares of trials and means over them:
@@ -144,26 +133,25 @@ class Collection(kinds.Collection):
         breakdown_bound: at which half of the objects have no honest majority;  breakdown_difference: point minus bound
         """
         rows, points = [], []
-        for attack in dict.fromkeys(cell.attack for cell in self.records if cell.attack):
-            for agents in dict.fromkeys(cell.agents for cell in self.records):
-                cells = [c for c in self.records if c.agents == agents and c.attack in ("", attack)]
-                values = {cell.liars: self._of_trials(cell) for cell in sorted(cells, key=lambda cell: cell.liars)}
-                of = {"attack": attack, "agents": agents}
-                rows += [_row(of | {"liars": liars}, each) for liars, each in values.items()]
-                shares = {liars / agents: each for liars, each in values.items() if not np.isnan(each["worse"]).all()}
-                if shares:
-                    points.append(_point(of, shares))
+        for attack, agents in product(filter(None, self.several("attack")), self.several("agents")):
+            cells = [each for each in self.trials if each["agents"] == agents and each["attack"] in ("", attack)]
+            values = {each["liars"]: self._of_trials(each) for each in sorted(cells, key=lambda each: each["liars"])}
+            of = {"attack": attack, "agents": agents}
+            rows += [_row(of | {"liars": liars}, each) for liars, each in values.items()]
+            shares = {liars / agents: each for liars, each in values.items() if not np.isnan(each["worse"]).all()}
+            if shares:
+                points.append(_point(of, shares))
         return rows, points
 
-    def _of_trials(self, cell: BreakdownCell) -> dict[str, Floats]:
+    def _of_trials(self, factors: Factors) -> dict[str, Floats]:
         """By measure, (trials,) its value in each planned trial; NaN: it failed."""
-        without_liars = self.records.get(replace(cell, attack="", liars=0), {})
-        values = np.full((len(self.order), 5), np.nan)
-        for key, record in self.records[cell].items():
-            first = record.honest_first(without_liars.get(key))
-            shares = record.worse or first, record.worse, first
-            values[self.order[key]] = *shares, record.honest_suspended, record.honest_majority
-        return dict(zip((*_SHARES, *_MEANS), values.T, strict=True))
+        without_liars = self.trials.get(factors.but(attack="", liars=0), {})
+        values = {name: self.values(factors, name) for name in ("worse", *_MEANS)}
+        first = np.full(len(self.order), np.nan)
+        for key, each in self.trials[factors].items():
+            alarms_s = without_liars.get(key, {}).get("honest_s")
+            first[self.order[key]] = suspended_before_liars(each["honest_s"], each["liar_s"], alarms_s)
+        return values | {"honest_first": first, "broken": np.fmax(values["worse"], first)}
 
     def tables(self, table: Tables) -> ResultTables:
         """The CSV has a row for each attack, numbers of agents and liars, and measure.
@@ -186,9 +174,7 @@ class Collection(kinds.Collection):
         rows, points = table
         if not rows:
             return {}
-        from mast_zenoh.report.figures.defences import figure_of_breakdown  # drawing libraries are slow to load
-
-        return {self.name: figure_of_breakdown(rows, _in_words(rows, points), self.size)}
+        return {self.name: _figure(rows, _in_words(rows, points), self.size)}
 
 
 def _row(of: dict[str, Any], values: Mapping[str, Floats]) -> Row:
@@ -333,3 +319,37 @@ def _in_words(rows: Sequence[Row], points: Sequence[Row]) -> str:
         values = (most if math.isinf(each) else f"{100.0 * each:.0f} %" for each in numbers)
         parts.append("{}, {} agents: {}, bound {}".format(*point.of.values(), *values))
     return f"Half of the trials are broken at: {'; '.join(parts)}." if parts else ""
+
+
+def _figure(rows: Sequence[Row], words: str, size: str) -> RenderedFigure:
+    """A panel for each attack, and a curve for each number of agents next to its bound."""
+    from matplotlib.lines import Line2D  # drawing libraries are slow to load
+
+    from mast_zenoh.report.figures.drawing import render
+    from mast_zenoh.report.figures.facets import Axis, facet, legend_above
+    from mast_zenoh.viewer.palette import LOCAL, RUN_COLOURS
+
+    shown = [
+        replace(row, of=row.of | {"share": 100.0 * _share(row), "curve": f"{row.of['agents']} agents"})
+        for row in rows
+        if row.trials
+    ]
+    axis, label = Axis("broken", "broken trials (%)", 100.0), "liars (% of all agents)"
+    figure = facet(shown, "share", [axis], "curve", by="attack", label=label, size=(4.6, 4.3))
+    style: dict[str, Any] = dict(linestyle=(0, (4, 2)), linewidth=1.3)
+    for axes, attack in zip(figure.axes, dict.fromkeys(row.of["attack"] for row in shown), strict=True):
+        axes.axhline(50.0, color=LOCAL, linewidth=0.8)
+        axes.set_ylim(-3.0, 103.0)
+        for index, curve in enumerate(dict.fromkeys(row.of["curve"] for row in shown)):
+            of_curve = [row for row in shown if (row.of["attack"], row.of["curve"]) == (attack, curve)]
+            without = [100.0 * (1.0 - row["honest_majority"].value) for row in of_curve]
+            colour = RUN_COLOURS[index % len(RUN_COLOURS)]
+            axes.plot([row.of["share"] for row in of_curve], without, color=colour, **style)
+    bound = Line2D([], [], color=LOCAL, label="objects without an honest majority", **style)
+    legend_above(figure, bound)
+    caption = (
+        f"Lines with markers: broken trials with 95 % intervals ({size}). A trial is broken if the picture is "
+        "worse than the ego alone, or an honest agent is suspended before any liar. Dashed: objects without an honest "
+        "majority of viewers, the bound of identification."
+    )
+    return render("breakdown", figure, f"Broken trials over the share of liars. {words}", caption, printed=True)

@@ -1,8 +1,9 @@
-"""What a cell of a study names: defences, adversaries and faults, and which agents are compromised."""
+"""What studies of defences name: defences, adversaries and faults, which agents are compromised, and their runs."""
 
 from __future__ import annotations
 
 import ast
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -27,6 +28,8 @@ _EXPECTED = "expected a name, a file or a dict with `type`"
 #: The adversaries of the scenarios of these names: on tracks alone, without a budget and without knowledge.
 COORDINATED, UNCOORDINATED = "coordinated", "uncoordinated"
 
+#: The command centre without a defence: the reference of all others.
+UNDEFENDED = "NoIntegrity"
 #: Prefix of a fault in the list of adversaries.
 PREFIX = "fault:"
 
@@ -271,3 +274,62 @@ def honest_majority(points: ArrayLike, malicious: ArrayLike) -> float:
     if not len(seen):
         return float("nan")
     return float((seen[:, ~lying].sum(axis=1) > seen[:, lying].sum(axis=1)).mean())
+
+
+# -- every defence against every adversary -----------------------------------------------------------------------------
+
+
+def matrix_study(
+    *,
+    defences: Sequence[Choice],
+    adversaries: Sequence[Choice],
+    counts: Sequence[int],
+    placements: Sequence[str],
+    budgets: Sequence[float | None],
+    parameters: Mapping[str, Any],
+) -> dict[str, Any]:
+    """The keys `runs` and `baseline` of a study of every defence against every adversary.
+
+    adversaries: none for runs without an attack alone
+    counts: numbers of adversaries; 0 stands for one run per defence without an attack, and is always included
+    budgets: of each adversary that has one;  parameters: of the scenario, for all runs
+    The factors of each run: defence, attack ("" without adversaries, or a fault: then faulty agents take their places),
+    n_adversaries, placement, budget, lies per second of each adversary (None: the attack's own, or it has none), and
+    attack_start_s. Raises ConfigurationError.
+    """
+    for placement in placements:
+        if placement not in PLACEMENTS:
+            raise ConfigurationError(f"placements: found {placement!r}{nearest(placement, PLACEMENTS)}")
+    for count in counts:
+        if type(count) is not int or count < 0:
+            raise ConfigurationError(f"counts: found {count!r}, expected whole numbers, 0 or more, such as [1, 2]")
+    if UNDEFENDED not in defences:  # the reference of all others
+        defences = [UNDEFENDED, *defences]
+    runs: dict[str, Any] = {}
+    for defence in defences:
+        alone = {"defence": short_name(defence), "attack": "", "n_adversaries": 0, "placement": "", "budget": None}
+        alone["attack_start_s"] = parameters.get("attack_start_s")
+        cells = [(f"{alone['defence']} alone", alone, {"n_adversaries": 0})]
+        for attack in adversaries:
+            own_budgets = budgets if has_budget(attack) else (None,)
+            for count, placement, budget in itertools.product(sorted({*counts} - {0}), placements, own_budgets):
+                label = f"{alone['defence']} {short_name(attack).replace(':', ' ')} {count} {placement}"
+                label += "" if budget is None else f" budget {budget:g}"
+                place = {"n_adversaries": count, "placement": placement, "budget": budget}
+                cells.append((label, alone | place | {"attack": short_name(attack)}, _attacked(attack, place)))
+        for label, factors, own in cells:
+            if label in runs:
+                raise ConfigurationError(f"two configurations are called {label!r}: expected each choice once")
+            every = {**parameters, "defence": defence, **own}
+            runs[label] = {"scenario": "defence_cell", "parameters": every, "factors": factors}
+    return {"runs": runs, "baseline": f"{UNDEFENDED} alone"}
+
+
+def _attacked(attack: Choice, place: dict[str, Any]) -> dict[str, Any]:
+    """The parameters of a scenario with adversaries, or with faulty agents in their places."""
+    if isinstance(attack, str) and attack.startswith(PREFIX):
+        fault = attack.removeprefix(PREFIX)
+        check_fault(fault)
+        count, placement = place["n_adversaries"], place["placement"]
+        return {"n_adversaries": 0, "fault": fault, "n_faulty": count, "placement": placement}
+    return {"n_adversaries": place["n_adversaries"], "attack": attack, **place}

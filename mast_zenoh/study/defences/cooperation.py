@@ -7,7 +7,6 @@ agent is deceived in a frame if its picture has a false or a missed object that 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,8 +30,7 @@ from mast_zenoh.report.tables.text_table import (
     whole_percent,
 )
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.study.defences import kinds
-from mast_zenoh.study.defences.cells import CooperationCell
+from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.numbers import ego, scored_frames
 from mast_zenoh.study.trial import Outcome
 
@@ -45,8 +43,12 @@ _VEHICLES = [CLASS_INDEX[name] for name in ("car", "truck", "bus")]
 _ROUNDING_S = 1e-6
 
 
-class Collection(kinds.Collection):
-    """Lies and their reach, by fusion architecture and number of agents."""
+class Cooperation(Kind):
+    """Lies and their reach.
+
+    Its factors: architecture, of the fusion; agents, the ego included; attacked, whether some of them lie;
+    attack_start_s, s of scene time, from which trials count, with lies or without
+    """
 
     name = "cooperation"
     drawn = ("cooperation",)
@@ -92,7 +94,7 @@ class Collection(kinds.Collection):
             "penetration": round(sensing / vehicles, 6),
         }
 
-    def record(self, cell: CooperationCell, outcome: Outcome) -> dict[str, float]:
+    def measures(self, factors: Factors, outcome: Outcome) -> dict[str, Any]:
         """What the table needs of one trial; NaN: it has none.
 
         From the start of the attack on:
@@ -109,7 +111,7 @@ class Collection(kinds.Collection):
         """
         metrics, part = outcome.metrics, outcome.metrics["defence"]
         first, last = scored_frames(metrics)
-        start = max(first, int(np.searchsorted(part["frames_s"], cell.attack_start_s - _ROUNDING_S)))
+        start = max(first, int(np.searchsorted(part["frames_s"], factors["attack_start_s"] - _ROUNDING_S)))
         table = outcome.per_frame
         rows = (table["agent"] == ego(metrics)) & (table["estimator"] == PICTURE)
         rows &= (table["frame"] >= start) & (table["frame"] <= last)
@@ -130,30 +132,30 @@ class Collection(kinds.Collection):
         }
 
     def table(self) -> list[Row]:
-        """A row for each architecture and number of agents, with the measures of `record`, and of pairs:
+        """A row for each architecture and number of agents, with the measures of `measures`, and of pairs:
 
         harm: errors with lies minus those without;  harm_difference: that minus the first architecture's
         """
-        cells = sorted((cell for cell in self.records if cell.attacked), key=lambda cell: cell.agents)
-        first = next(iter(self.records)).architecture
-        rows = [self._row(cell, self._harm(cell), self._harm(replace(cell, architecture=first))) for cell in cells]
+        cells = sorted((each for each in self.trials if each["attacked"]), key=lambda each: int(each["agents"]))
+        first = next(iter(self.several("architecture")), "")
+        rows = [self._row(each, self._harm(each), self._harm(each.but(architecture=first))) for each in cells]
         return [row for row in rows if row.trials]
 
-    def _harm(self, cell: CooperationCell) -> Floats:
-        return self.values(cell, "errors") - self.values(replace(cell, attacked=False), "errors")
+    def _harm(self, factors: Factors) -> Floats:
+        return self.values(factors, "errors") - self.values(factors.but(attacked=False), "errors")
 
-    def _row(self, cell: CooperationCell, harm: Floats, of_first: Floats) -> Row:
-        honest = replace(cell, attacked=False)
+    def _row(self, factors: Factors, harm: Floats, of_first: Floats) -> Row:
+        honest = factors.but(attacked=False)
         numbers = {
             "errors": self.mean(self.values(honest, "errors")),
             "harm": self.mean(harm, paired=True),
             "harm_difference": self.mean(harm - of_first, paired=True),
         }
-        numbers |= {name: self.mean(self.values(cell, name), (0.0, 1.0)) for name in ("deceived", "deceived_max")}
+        numbers |= {name: self.mean(self.values(factors, name), (0.0, 1.0)) for name in ("deceived", "deceived_max")}
         for name in ("nees", "gospa_m", "kb_per_s", "busy_ratio", "penetration"):
             numbers[name] = self.mean(self.values(honest, name))
-        pairs = int((~np.isnan(harm)).sum())
-        return Row({"architecture": cell.architecture, "agents": cell.agents}, pairs, numbers)
+        of = {name: factors[name] for name in ("architecture", "agents")}
+        return Row(of, int((~np.isnan(harm)).sum()), numbers)
 
     def tables(self, table: Sequence[Row]) -> ResultTables:
         """The CSV has a row for each architecture, number of agents and measure."""
@@ -176,9 +178,10 @@ class Collection(kinds.Collection):
         if not table:
             return {}
         from mast_zenoh.report.figures.drawing import render  # drawing libraries are slow to load
-        from mast_zenoh.report.figures.facets import facet
+        from mast_zenoh.report.figures.facets import Axis, facet
 
-        figure = facet(table, "agents", "architecture", _PANELS, log="kb_per_s")
+        panels = [Axis(*panel) for panel in _PANELS]
+        figure = facet(table, "agents", panels, "architecture", columns=2, label="agents", log=True)
         caption = (
             "Errors are missed and false objects in the ego's picture. Bars: 95 % intervals over trials "
             f"({self.size}). An agent is deceived if its picture has an error that an adversary caused."
@@ -222,12 +225,12 @@ _BRIEF = {
     "deceived (%)": shown("deceived", percent),
     "kB/s": shown("kb_per_s", _traffic),
 }
-#: Of each panel: a measure, its factor, and the label of its axis.
+#: `facets.Axis` of each panel.
 _PANELS = (
-    ("harm", 1.0, "errors per frame that lies add"),
-    ("deceived", 100.0, "agents deceived at a time (%)"),
-    ("errors", 1.0, "errors per frame without lies"),
-    ("kb_per_s", 1.0, "kB/s that an agent sends"),
+    ("harm", "errors per frame that lies add"),
+    ("deceived", "agents deceived at a time (%)", 100.0),
+    ("errors", "errors per frame without lies"),
+    ("kb_per_s", "kB/s that an agent sends", 1.0, True),
 )
 
 

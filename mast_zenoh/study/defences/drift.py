@@ -39,9 +39,8 @@ from mast_zenoh.report.tables.text_table import (
     table_of_rows,
     whole,
 )
-from mast_zenoh.study.defences import kinds
-from mast_zenoh.study.defences.cells import DriftCell
 from mast_zenoh.study.defences.intervals import kaplan_meier, pooled, share_of_trials
+from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.trial import Outcome
 
 if TYPE_CHECKING:
@@ -120,31 +119,25 @@ _MEASURED = ("delay_s", "ratio", "offset_reached_m", "within", "noticed")
 _OPEN_RANGES = (ViewerRange(2, None), ViewerRange(1, None))
 
 
-@dataclass(frozen=True, slots=True)
-class DriftRecord:
-    """What the tables need of one trial: the content of `evaluate`."""
-
-    first_lie_s: float | None
-    suspended_s: float | None
-    end_s: float
-    displaced: Mapping[str, Sequence[Any]]
-
-    def episodes(self, viewer_range: ViewerRange) -> list[Episode]:
-        """The displaced objects in view of a number of honest agents."""
-        time_s, track, viewers, offset_m = (self.displaced[name] for name in ("time_s", "track", "viewers", "offset_m"))
-        return episodes(time_s, track, viewers, offset_m, self.suspended_s, viewer_range)
-
-    def delay(self) -> tuple[float, bool] | None:
-        """s from the first lie to the suspension, or to the end of the run, and whether there was one; None: no lie."""
-        if self.first_lie_s is None:
-            return None
-        detected = self.suspended_s is not None
-        until_s = self.suspended_s if self.suspended_s is not None else self.end_s
-        return max(until_s - self.first_lie_s, 0.0), detected
+def episodes_of(measures: Mapping[str, Any], viewers: ViewerRange) -> list[Episode]:
+    """The displaced objects of a trial in view of a number of honest agents."""
+    return episodes(**measures["displaced"], suspended_s=measures["suspended_s"], viewer_range=viewers)
 
 
-class Collection(kinds.Collection):
-    """Delays of all trials next to the floor."""
+def whole_delay(measures: Mapping[str, Any]) -> tuple[float, bool] | None:
+    """s from the first lie to the suspension, or to the end of the run, and whether there was one; None: no lie."""
+    first_s, suspended_s = measures["first_lie_s"], measures["suspended_s"]
+    if first_s is None:
+        return None
+    return max((measures["end_s"] if suspended_s is None else suspended_s) - first_s, 0.0), suspended_s is not None
+
+
+class Drift(Kind):
+    """Delays of all trials next to the floor.
+
+    Its factors: offset_m, the largest offset of the only liar; rate_mps, by which it grows, None: at once; agents, the
+    ego included
+    """
 
     name = "drift"
 
@@ -181,8 +174,9 @@ class Collection(kinds.Collection):
             },
         }
 
-    def record(self, cell: DriftCell, outcome: Outcome) -> DriftRecord:
-        return DriftRecord(**outcome.metrics["defence"])
+    def measures(self, factors: Factors, outcome: Outcome) -> dict[str, Any]:
+        """The part `defence` of its metrics."""
+        return dict(outcome.metrics["defence"])
 
     def table(self) -> list[Row]:
         """The rows of all cells: whole runs, then displaced objects by exact number of viewers, and by open ranges.
@@ -197,12 +191,12 @@ class Collection(kinds.Collection):
         noticed:  the same from all episodes (Kaplan-Meier), shorter ones included; unknown if all end before the limit
         """
         rows = []
-        for cell, by_trial in self.records.items():
-            records = list(by_trial.values())
-            rows.append(_whole_runs(cell, records))
-            most = max((max(record.displaced["viewers"], default=0) for record in records), default=0)
+        for factors, by_trial in self.trials.items():
+            trials = list(by_trial.values())
+            rows.append(_whole_runs(factors, trials))
+            most = max((max(each["displaced"]["viewers"], default=0) for each in trials), default=0)
             for viewers in (*(ViewerRange(count, count) for count in range(1, most + 1)), *_OPEN_RANGES):
-                rows.append(_row(cell, viewers, [record.episodes(viewers) for record in records]))
+                rows.append(_row(factors, viewers, [episodes_of(each, viewers) for each in trials]))
         return rows
 
     def tables(self, table: Sequence[Row]) -> ResultTables:
@@ -230,13 +224,14 @@ class Collection(kinds.Collection):
         )
 
 
-def one_witness_floor_s(cell: DriftCell) -> float:
+def one_witness_floor_s(factors: Mapping[str, Any]) -> float:
     """s until one witness can know."""
-    return offset_floor_s(cell.offset_m) if cell.rate_mps is None else drift_floor_s(cell.rate_mps)
+    rate_mps = factors["rate_mps"]
+    return offset_floor_s(factors["offset_m"]) if rate_mps is None else drift_floor_s(rate_mps)
 
 
-def _whole_runs(cell: DriftCell, records: Sequence[DriftRecord]) -> Row:
-    delays = [delay for record in records if (delay := record.delay()) is not None]
+def _whole_runs(factors: Factors, trials: Sequence[Mapping[str, Any]]) -> Row:
+    delays = [delay for each in trials if (delay := whole_delay(each)) is not None]
     numbers = dict.fromkeys((*_COUNTS, *_PLAIN, *_MEASURED), Measured()) | {
         "episodes": _count(len(delays)),
         "detected": _count(sum(detected for _, detected in delays)),
@@ -245,22 +240,25 @@ def _whole_runs(cell: DriftCell, records: Sequence[DriftRecord]) -> Row:
         "within": share_of_trials(sum(detected and delay <= LIMIT_S + 1e-6 for delay, detected in delays), len(delays)),
         "noticed": _bootstrap(delays, _noticed),
     }
-    return Row(_of(cell, ""), len(delays), numbers)
+    return Row(_of(factors, ""), len(delays), numbers)
 
 
-def _of(cell: DriftCell, viewers: str) -> dict[str, Any]:
-    return {name: getattr(cell, name) for name in _CELL} | {"viewers": viewers}
+def _of(factors: Factors, viewers: str) -> dict[str, Any]:
+    offset_m, rate_mps = factors["offset_m"], factors["rate_mps"]
+    lie = f"offset {offset_m:g} m" if rate_mps is None else f"drift {rate_mps:g} mps"
+    label = f"{factors['agents']} agents {lie}"
+    return {"label": label, "offset_m": offset_m, "rate_mps": rate_mps, "viewers": viewers}
 
 
 def _count(number_of: int) -> Measured:
     return Measured(float(number_of))
 
 
-def _row(cell: DriftCell, viewers: ViewerRange, by_trial: Sequence[Sequence[Episode]]) -> Row:
+def _row(factors: Factors, viewers: ViewerRange, by_trial: Sequence[Sequence[Episode]]) -> Row:
     """A row of one range of viewers; by_trial: the episodes of each trial, which may have none."""
     trials = [each for each in by_trial if each]
     every = [episode for each in trials for episode in each]
-    single_s = one_witness_floor_s(cell)
+    single_s, rate_mps = one_witness_floor_s(factors), factors["rate_mps"]
     weight = sum(episode.watched_s for episode in every)
     speed_up = sum(episode.speed_up * episode.watched_s for episode in every) / weight if weight else NAN
     floor_s = single_s / speed_up if speed_up else NAN
@@ -273,20 +271,20 @@ def _row(cell: DriftCell, viewers: ViewerRange, by_trial: Sequence[Sequence[Epis
 
     # The first object of each trial that lasted long enough: trials are independent, objects of one trial are not.
     judged = [each for trial in trials if (each := next((e for e in trial if e.judged_within(LIMIT_S)), None))]
-    drifting = cell.rate_mps is not None
+    drifting = rate_mps is not None
     numbers = {
         "episodes": _count(len(every)),
         "detected": _count(sum(episode.detected for episode in every)),
         "judged": _count(len(judged)),
         "floor_s": Measured(floor_s),
-        "floor_m": Measured(floor_s * cell.rate_mps if cell.rate_mps is not None else NAN),
+        "floor_m": Measured(floor_s * rate_mps if drifting else NAN),
         "delay_s": _bootstrap(trials, median(lambda e: e.watched_s)),
         "ratio": _bootstrap(trials, median(lambda e: e.watched_s * e.speed_up / single_s)),
         "offset_reached_m": _bootstrap(trials, median(lambda e: e.offset_m)) if drifting else Measured(),
         "within": share_of_trials(sum(each.detected_within(LIMIT_S) for each in judged), len(judged)),
         "noticed": _bootstrap(trials, lambda units: _noticed(times(units))),
     }
-    return Row(_of(cell, viewers.title), len(trials), numbers)
+    return Row(_of(factors, viewers.title), len(trials), numbers)
 
 
 def _bootstrap(trials: Sequence[Any], statistic: Callable[[Any], float]) -> Measured:

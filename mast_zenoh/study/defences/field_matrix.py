@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.metrics.field_results import (
-    FieldBreakdown,
-    FieldMatrix,
-    Published,
-    PublishedNumber,
-)
 from mast_zenoh.metrics.study_results import Measured, Row
-from mast_zenoh.report.tables.field_matrix import field_tables, published_tables
-from mast_zenoh.report.tables.scoreboard import scoreboard_tables
 from mast_zenoh.report.tables.text_table import ResultTables
-from mast_zenoh.study.defences import breakdown, intervals, matrix, matrix_records
-from mast_zenoh.study.defences.breakdown import HALF, BreakdownRecord, mean_crossing
-from mast_zenoh.study.defences.cells import UNDEFENDED, BreakdownCell, Cell, FieldCell
-from mast_zenoh.study.defences.choices import SCENE_KINDS
-from mast_zenoh.study.defences.published import BY_SUSPENSION, PUBLISHED
+from mast_zenoh.study.defences import breakdown, intervals, matrix
+from mast_zenoh.study.defences.breakdown import HALF, mean_crossing, measures_of_breaking, suspended_before_liars
+from mast_zenoh.study.defences.choices import SCENE_KINDS, UNDEFENDED
+from mast_zenoh.study.defences.field_tables import field_tables, published_tables
+from mast_zenoh.study.defences.kinds import Factors
+from mast_zenoh.study.defences.matrix import alone, is_fault, lies, undefended
+from mast_zenoh.study.defences.published import BY_SUSPENSION, PUBLISHED, Published, PublishedNumber
+from mast_zenoh.study.defences.scoreboard import FieldTable, scoreboard_tables
 from mast_zenoh.study.trial import Outcome, TrialKey
 
 if TYPE_CHECKING:
@@ -44,34 +39,31 @@ def scene_title(label: str) -> str:
     return label
 
 
-class Collection(matrix.Collection):
+class FieldMatrix(matrix.DefenceMatrix):
     """The rows of the matrix, in all scenes and in each; breakdown; and published figures next to ours."""
 
     name = "matrix"
-    drawn = (*matrix.Collection.drawn, "harm_by_scene")
+    drawn = (*matrix.DefenceMatrix.drawn, "harm_by_scene")
     #: Without an attack, the whole run counts for the breakdown.
-    without_lies = matrix_records.NO_LIES | {"compromised": [], "frames_s": []}
+    without_lies = matrix.NO_LIES | {"compromised": [], "frames_s": []}
 
-    def __init__(self, cells: Mapping[str, FieldCell], scenes: Sequence[str], seeds: Sequence[int]) -> None:
-        super().__init__(cells, scenes, seeds)
-        self._scenes = list(scenes)
-        self._broken: dict[Cell, dict[TrialKey, BreakdownRecord]] = {cell: {} for cell in cells.values()}
+    def __init__(self, factors: Mapping[str, Factors], scenes: Sequence[str], seeds: Sequence[int]) -> None:
+        super().__init__(factors, scenes, seeds)
+        #: number of agents by scene
         self._agents: dict[str, int] = {}
 
     @staticmethod
     def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
         """The parts of `matrix` and of `breakdown`."""
-        own = matrix.Collection.evaluate(run, compromised)
-        return breakdown.Collection.evaluate(run, compromised) | own
+        own = matrix.DefenceMatrix.evaluate(run, compromised)
+        return breakdown.Breakdown.evaluate(run, compromised) | own
 
-    def record(self, cell: Any, outcome: Outcome) -> matrix_records.TrialRecord:
-        key, agents = outcome.trial.key, len(outcome.metrics["agents"])
-        of_breakdown = BreakdownCell(cell.attack, agents, cell.n_adversaries if cell.lies else 0, cell.attack_start_s)
-        self._broken[cell][key] = BreakdownRecord.of(of_breakdown, outcome)
-        self._agents[key.scene] = agents
-        record = super().record(cell, outcome)
+    def measures(self, factors: Factors, outcome: Outcome) -> dict[str, Any]:
+        """Those of the matrix and of `measures_of_breaking`; and ms of processor time per frame, NaN: not known."""
+        self._agents[outcome.trial.scene] = len(outcome.metrics["agents"])
         cpu_ms = 1e3 * outcome.cpu_s / outcome.metrics["frames"] if outcome.cpu_s > 0.0 else math.nan
-        return replace(record, scores=record.scores | {"cpu_ms": cpu_ms})
+        broken = measures_of_breaking(outcome, factors["attack_start_s"])
+        return broken | super().measures(factors, outcome) | {"cpu_ms": cpu_ms}
 
     def tables(self, table: Any) -> ResultTables:
         return field_tables(table)
@@ -80,34 +72,26 @@ class Collection(matrix.Collection):
         return {"scoreboard": scoreboard_tables(table), "published": published_tables(table)}
 
     def figures(self, table: Any) -> Mapping[str, RenderedFigure]:
-        from mast_zenoh.report.figures.defences import figures_of_defences
-        from mast_zenoh.report.figures.field_matrix import figures_of_field
+        from mast_zenoh.study.defences.matrix_figures import figures_of_defences, harm_by_scene
 
-        return figures_of_field(table) | figures_of_defences(table.matrix)
+        return harm_by_scene(table) | figures_of_defences(table.matrix)
 
     def table(self) -> Any:
-        """The FieldMatrix: the matrix with all that is computed from its trials."""
-        scenes = ["", *self._scenes]
-        cells = list(self.records)
-        defences = list(dict.fromkeys(cell.defence for cell in cells))
-        breakdowns = {
-            (scene, defence): self._breakdown(scene, defence)
-            for defence in defences
-            for scene in scenes
-            if any(cell.lies and cell.defence == defence for cell in cells)
-        }
-        return FieldMatrix(
+        """The FieldTable: the matrix with all that is computed from its trials."""
+        scenes = ["", *self.scenes]
+        defences = self.several("defence")
+        attacked = [name for name in defences if any(lies(each) for each in self._of_defence(name))]
+        return FieldTable(
             matrix=super().table(),
-            scenes=[scene_title(scene) for scene in self._scenes],
-            rows=[self._field_row(cell, scene) for scene in scenes for cell in cells],
-            breakdowns=list(breakdowns.values()),
-            summaries=[
-                self._field_summary(defence)
-                for defence in defences
-                if defence != UNDEFENDED and ("", defence) in breakdowns
-            ],
+            scenes=[scene_title(scene) for scene in self.scenes],
+            rows=[self._field_row(factors, scene) for scene in scenes for factors in self.trials],
+            breakdowns=[self._breakdown(scene, name) for name in attacked for scene in scenes],
+            summaries=[self._field_summary(name) for name in attacked if name != UNDEFENDED],
             published=list(self._published()),
         )
+
+    def _of_defence(self, defence: str) -> list[Factors]:
+        return [factors for factors in self.trials if factors["defence"] == defence]
 
     # -- rows ----------------------------------------------------------------------------------------------------------
 
@@ -115,45 +99,50 @@ class Collection(matrix.Collection):
         """The values of the trials of a scene; "": all."""
         return values[[not scene or key.scene == scene for key in self.order]]
 
-    def _field_row(self, cell: Cell, scene: str) -> Row:
-        keys = [key for key in self.order if key in self.records[cell] and scene in ("", key.scene)]
-        groups = [[self.records[cell][key]] for key in keys]
-        cpu_ms, scenes = self._in_scene(self._processor(cell), scene), 1 if scene else self.scenes
-        damages = [self._in_scene(self._damage(each), scene) for each in (cell, cell.alone, cell.undefended)]
+    def _field_row(self, factors: Factors, scene: str) -> Row:
+        keys = [key for key in self.order if key in self.trials[factors] and scene in ("", key.scene)]
+        groups = [[self.trials[factors][key]] for key in keys]
+        cpu_ms, scenes = self._in_scene(self._processor(factors), scene), 1 if scene else len(self.scenes)
+        compared = factors, alone(factors), undefended(factors)
+        damages = [self._in_scene(self.damage(each), scene) for each in compared]
         differences = (damages[0], damages[0] - damages[1], damages[0] - damages[2])
         damage, by_attack, harm = (intervals.mean(each, scenes=scenes, paired=True) for each in differences)
         numbers = {
             "damage": damage,
             "by_attack": by_attack,
             "harm": harm,
-            "attacked": matrix_records.attacked_share(groups) if cell.lies else Measured(),
-            "honest_suspended": matrix_records.shares_of_runs(groups)["honest_suspended"],
+            "attacked": matrix.attacked_share(groups) if lies(factors) else Measured(),
+            "honest_suspended": matrix.shares_of_runs(groups)["honest_suspended"],
             "cpu_ms": intervals.mean(cpu_ms, scenes=scenes),
-            "cpu_ratio": ratio(cpu_ms, self._in_scene(self._processor(cell.undefended), scene), scenes=scenes),
+            "cpu_ratio": ratio(cpu_ms, self._in_scene(self._processor(undefended(factors)), scene), scenes=scenes),
         }
-        of = {name: getattr(cell, name) for name in ("defence", "attack", "n_adversaries", "placement")}
+        of = {name: factors[name] for name in ("defence", "attack", "n_adversaries", "placement")}
         return Row({"scene": scene_title(scene)} | of, len(keys), numbers)
 
-    def _damage(self, cell: Cell) -> Floats:
-        """(trials,) missed and false objects per frame, minus those without attack and without defence."""
-        return self._added(cell, "fn") + self._added(cell, "fp")
-
-    def _processor(self, cell: Cell) -> Floats:
+    def _processor(self, factors: Factors) -> Floats:
         """(trials,) ms of processor time per frame, NaN where it is not known."""
-        return self.values(cell, "cpu_ms")
+        return self.values(factors, "cpu_ms")
 
     # -- breakdown -----------------------------------------------------------------------------------------------------
 
-    def _breakdown(self, scene: str, defence: str) -> FieldBreakdown:
-        """Broken trials of one defence, by number of adversaries; without any, the same run counts for all attacks."""
+    def _breakdown(self, scene: str, defence: str) -> Row:
+        """With how many adversaries a defence breaks; without any, the same run counts for all attacks.
+
+        Of: scene; defence; agents, 0 if scenes differ; weakest, the attack with the smallest point, "" if none is
+        reached. Its numbers:
+        broken N:   share of broken trials of all attacks with N adversaries
+        breaks_at:  number of adversaries at which half of them are broken, interpolated; infinite: more than were
+                    tried. If only one number was tried, it is that one, as an upper bound, and has no interval
+        weakest_at: that point of the weakest attack
+        """
         keys = [key for key in self.order if scene in ("", key.scene)]
-        cells = [cell for cell in self.records if cell.defence == defence and not cell.is_fault]
-        attacks = dict.fromkeys(cell.attack for cell in cells if cell.lies)
-        counts = sorted({cell.n_adversaries for cell in cells})
+        cells = [each for each in self._of_defence(defence) if not is_fault(each)]
+        attacks = dict.fromkeys(each["attack"] for each in cells if lies(each))
+        counts = sorted({each["n_adversaries"] for each in cells})
         shares = {
             attack: np.stack(
                 [
-                    self._broken_share([each for each in cells if each.attack in ("", attack)], count, keys)
+                    self._broken_share([each for each in cells if each["attack"] in ("", attack)], count, keys)
                     for count in counts
                 ],
                 axis=1,
@@ -168,63 +157,54 @@ class Collection(matrix.Collection):
         point = intervals.pooled(lambda rows: _crossing(counts, every[rows]), len(keys))
         if _is_single(counts):
             point = Measured(point.value, trials=point.trials)
-        scenes = 1 if scene else self.scenes
+        scenes = 1 if scene else len(self.scenes)
         sizes = {self._agents[key.scene] for key in keys if key.scene in self._agents}
-        return FieldBreakdown(
-            scene=scene_title(scene),
-            defence=defence,
-            agents=sizes.pop() if len(sizes) == 1 else 0,
-            broken={
-                count: intervals.mean(every[:, index], (0.0, 1.0), scenes=scenes) for index, count in enumerate(counts)
-            },
-            point=point,
-            weakest=weakest,
-            weakest_at=reached.get(weakest, math.inf),
-        )
+        agents = sizes.pop() if len(sizes) == 1 else 0
+        numbers = {
+            f"broken {count}": intervals.mean(every[:, index], (0.0, 1.0), scenes=scenes)
+            for index, count in enumerate(counts)
+        }
+        numbers |= {"breaks_at": point, "weakest_at": Measured(reached.get(weakest, math.inf))}
+        of = {"scene": scene_title(scene), "defence": defence, "agents": agents, "weakest": weakest}
+        return Row(of, len(keys), numbers)
 
-    def _broken_share(self, cells: Iterable[Cell], count: int, keys: Sequence[TrialKey]) -> Floats:
+    def _broken_share(self, cells: Iterable[Factors], count: int, keys: Sequence[TrialKey]) -> Floats:
         """(trials,) the share of broken runs of the cells with a number of adversaries, NaN without a run."""
-        runs = [[self._is_broken(cell, key) for key in keys] for cell in cells if cell.n_adversaries == count]
+        runs = [[self._is_broken(each, key) for key in keys] for each in cells if each["n_adversaries"] == count]
         return _mean_known(np.array(runs, np.float64).reshape(-1, len(keys)))
 
-    def _is_broken(self, cell: Cell, key: TrialKey) -> float:
+    def _is_broken(self, factors: Factors, key: TrialKey) -> float:
         """Whether a run is broken, in the sense of `breakdown`; NaN if it failed."""
-        record = self._broken[cell].get(key)
-        if record is None:
+        each = self.trials[factors].get(key)
+        if each is None:
             return math.nan
-        return float(record.worse or record.honest_first(self._broken.get(cell.alone, {}).get(key)))
+        alarms_s = self.trials.get(alone(factors), {}).get(key, {}).get("honest_s")
+        return float(each["worse"] or suspended_before_liars(each["honest_s"], each["liar_s"], alarms_s))
 
     # -- summaries and published figures -------------------------------------------------------------------------------
 
     def _field_summary(self, defence: str) -> Row:
-        attacked = [cell for cell in self.records if cell.defence == defence and cell.lies]
-        pairs = [(self._processor(cell), self._processor(cell.undefended)) for cell in attacked]
-        alone = attacked[0].alone
+        attacked = [each for each in self._of_defence(defence) if lies(each)]
+        pairs = [(self._processor(each), self._processor(undefended(each))) for each in attacked]
+        without = alone(attacked[0])
+        of_alone = self._processor(without), self._processor(undefended(without))
+        of_attacked = (np.stack(part) for part in zip(*pairs, strict=True))
         numbers = {
             "harm_removed": self._harm_removed(attacked),
-            "cpu_ratio_alone": ratio(self._processor(alone), self._processor(alone.undefended), scenes=self.scenes),
-            "cpu_ratio_attacked": ratio(*(np.stack(part) for part in zip(*pairs, strict=True)), scenes=self.scenes),
+            "cpu_ratio_alone": ratio(*of_alone, scenes=len(self.scenes)),
+            "cpu_ratio_attacked": ratio(*of_attacked, scenes=len(self.scenes)),
         }
         return Row({"defence": defence}, len(self.order), numbers)
 
-    def _harm_removed(self, cells: Sequence[Cell]) -> Measured:
+    def _harm_removed(self, cells: Sequence[Factors]) -> Measured:
         """1 minus what the attacks of all cells add with the defence over what they add without it.
 
         Each is relative to the same run without the attack, so that neither the cost of a defence nor what it removes
         of the sensors' own errors counts. NaN if attacks add nothing without the defence. Runs in which the adversaries
         did not lie to this defence are left out.
         """
-        damage = np.array(
-            [
-                [
-                    self._where_attacked(cell, self._damage(each) - self._damage(each.alone))
-                    for each in (cell, cell.undefended)
-                ]
-                for cell in cells
-            ]
-        )
-        damage = np.where(np.isnan(damage).any(axis=1, keepdims=True), np.nan, damage)
-        sums = np.nansum(damage, axis=0)[:, ~np.isnan(damage).all(axis=(0, 1))]
+        sums = self.paired_sums(cells, lambda each: self.damage(each) - self.damage(alone(each)))
+        sums = sums[:, ~np.isnan(sums[0])]
 
         def removed(rows: Ints) -> float:
             with_defence, without = sums[:, rows].sum(axis=1)
@@ -232,66 +212,58 @@ class Collection(matrix.Collection):
 
         return intervals.pooled(removed, sums.shape[1])
 
-    def _published(self) -> Iterable[Published]:
-        """The published methods that this study played."""
-        played = {name for cell in self.records for name in (cell.defence, cell.attack)}
-        return (replace(entry, ours=list(self._ours(entry))) for entry in PUBLISHED if entry.method in played)
+    def _published(self) -> Iterator[tuple[Published, list[PublishedNumber]]]:
+        """The published methods that this study played, with ours."""
+        played = {name for each in self.trials for name in (each["defence"], each["attack"])}
+        for entry in PUBLISHED:
+            if entry.method in played:
+                chosen = entry.defences or tuple(name for name in self.several("defence") if name != UNDEFENDED)
+                pairs = product(entry.quantities, chosen)
+                yield entry, [ours for pair in pairs if (ours := self._ours(entry.attacks, *pair)) is not None]
 
-    def _ours(self, entry: Published) -> Iterable[PublishedNumber]:
-        every = list(dict.fromkeys(cell.defence for cell in self.records))
-        chosen = entry.defences or tuple(name for name in every if name != UNDEFENDED)
-        for quantity in entry.quantities:
-            for defence in chosen:
-                cells = [cell for cell in self.records if cell.defence == defence and cell.lies]
-                cells = [cell for cell in cells if not entry.attacks or cell.attack in entry.attacks]
-                if cells:
-                    alone = quantity == "fn_added_alone"
-                    attacks = () if alone else tuple(dict.fromkeys(cell.attack for cell in cells))
-                    value = self._quantity(quantity, cells)
-                    yield PublishedNumber(quantity=quantity, defence=defence, attacks=attacks, value=value)
-
-    def _quantity(self, name: str, cells: Sequence[Cell]) -> Measured:
-        """One of `field_results.QUANTITIES`, of cells of one defence."""
-        groups = self._by_trial(cells)
-        suspending = cells[0].defence in self._suspending
-        detects = suspending or not {cell.attack for cell in cells} <= BY_SUSPENSION
+    def _ours(self, among: Sequence[str], quantity: str, defence: str) -> PublishedNumber | None:
+        """One of QUANTITIES under attacks, all if none is named; None: none was played."""
+        cells = [each for each in self._of_defence(defence) if lies(each) and (not among or each["attack"] in among)]
+        if not cells:
+            return None
+        attacks = () if quantity == "fn_added_alone" else tuple(dict.fromkeys(each["attack"] for each in cells))
+        groups, suspending = self._by_trial(cells), self.suspends(defence)
+        detects = suspending or not {each["attack"] for each in cells} <= BY_SUSPENSION
+        honest = matrix.state_shares(groups).get("honest", {})
         computed: dict[str, Callable[[], Measured]] = {
-            "lies_detected": lambda: matrix_records.lies_detected(groups) if detects else Measured(),
+            "lies_detected": lambda: matrix.lies_detected(groups) if detects else Measured(),
             "harm_removed": lambda: self._harm_removed(cells),
-            "honest_suspended_time": lambda: (
-                matrix_records.state_shares(groups).get("honest", {}).get("suspended", Measured())
-            ),
-            "median_delay_s": lambda: matrix_records.median_delay(groups) if suspending else Measured(),
+            "honest_suspended_time": lambda: honest.get("suspended", Measured()),
+            "median_delay_s": lambda: matrix.median_delay(groups) if suspending else Measured(),
             "targets_suspended": lambda: _liars_suspended(groups),
-            "fn_added_alone": lambda: self.mean(self._added(cells[0].alone, "fn"), paired=True),
-            "fp_added": lambda: self._mean_of(cells, lambda cell: self._added(cell, "fp")),
-            "damage": lambda: self._mean_of(cells, self._damage),
+            "fn_added_alone": lambda: self.mean(self.added(alone(cells[0]), "fn"), paired=True),
+            "fp_added": lambda: self._mean_of(cells, lambda each: self.added(each, "fp")),
+            "damage": lambda: self._mean_of(cells, self.damage),
             "ospa_vs_undefended_m": lambda: self._mean_of(
-                cells, lambda cell: self.values(cell, "ospa_m") - self.values(cell.undefended, "ospa_m")
+                cells, lambda each: self.values(each, "ospa_m") - self.values(undefended(each), "ospa_m")
             ),
             "cpu_growth": lambda: self._growth(cells),
         }
-        return computed[name]()
+        return PublishedNumber(quantity, defence, attacks, computed[quantity]())
 
-    def _mean_of(self, cells: Sequence[Cell], values: Callable[[Cell], Floats]) -> Measured:
+    def _mean_of(self, cells: Sequence[Factors], values: Callable[[Factors], Floats]) -> Measured:
         """The mean over trials of the mean over cells."""
-        return self.mean(_mean_known(np.stack([values(cell) for cell in cells])), paired=True)
+        return self.mean(_mean_known(np.stack([values(each) for each in cells])), paired=True)
 
-    def _growth(self, cells: Sequence[Cell]) -> Measured:
+    def _growth(self, cells: Sequence[Factors]) -> Measured:
         """Processor time relative to the other attacks on the same defence, by as many adversaries of one placement."""
         parts = []
-        for cell in cells:
-            place = (cell.defence, cell.n_adversaries, cell.placement)
+        for each in cells:
             others = [
-                self._processor(each)
-                for each in self.records
-                if each.lies and each.attack != cell.attack
-                if (each.defence, each.n_adversaries, each.placement) == place
+                self._processor(other)
+                for other in self.trials
+                if lies(other) and other["attack"] != each["attack"]
+                if other.but(attack="", budget=None) == each.but(attack="", budget=None)
             ]
             if others:
-                parts.append((self._processor(cell), _mean_known(np.stack(others))))
+                parts.append((self._processor(each), _mean_known(np.stack(others))))
         stacks = [np.stack(part) for part in zip(*parts, strict=True)]
-        return ratio(*stacks, scenes=self.scenes) if parts else Measured()
+        return ratio(*stacks, scenes=len(self.scenes)) if parts else Measured()
 
 
 def ratio(values: Floats, references: Floats, *, scenes: int = 1) -> Measured:
@@ -306,9 +278,9 @@ def ratio(values: Floats, references: Floats, *, scenes: int = 1) -> Measured:
     return measured._replace(value=value, low=low, high=high)
 
 
-def _liars_suspended(groups: matrix_records.Groups) -> Measured:
+def _liars_suspended(groups: matrix.Groups) -> Measured:
     """The share of agents with an observable lie that were suspended, of those that were judged."""
-    delays = [[suspended for record in group for _, suspended in record.delays] for group in groups]
+    delays = [[suspended for each in group for _, suspended in each["delays"]] for group in groups]
     return intervals.share([sum(each) for each in delays], [len(each) for each in delays])
 
 

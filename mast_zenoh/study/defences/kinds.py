@@ -1,8 +1,6 @@
-"""What all kinds of studies of defences have: cells, an evaluation of each trial, and a collection of all trials.
+"""What all kinds of studies have: factors of configurations, measures of each trial, tables and figures of all trials.
 
-A kind is a module of this package, with a subclass of DefenceCell, what differs between its configurations, and a
-subclass of `Collection` of this name. It loads SciPy's statistics, tables and drawing libraries only when they are
-needed: scenarios import its cells.
+A kind is a subclass of `Kind`, in a module of this package or in the file of a study, which names it.
 """
 
 from __future__ import annotations
@@ -14,12 +12,13 @@ from dataclasses import dataclass
 from importlib import import_module
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.metrics.study_results import Measured, size_of
+from mast_zenoh.config import loading
+from mast_zenoh.metrics.study_results import NAN, Measured, size_of
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.study.defences import intervals
 from mast_zenoh.study.trial import Outcome, TrialKey
@@ -32,24 +31,20 @@ if TYPE_CHECKING:
     from mast_zenoh.runs.run import Run
 
 
-class DefenceCell:
-    """One configuration of a study of defences; subclasses are frozen dataclasses.
+class Factors(dict[str, Any]):
+    """What configurations of a study differ in, by name: attack, agents, …; texts, numbers, None. It can be a key."""
 
-    kind: name of its module in this package
-    """
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(frozenset(self.items()))
 
-    __slots__ = ()
-    kind: ClassVar[str]
-
-    @property
-    def label(self) -> str:
-        """The label of its configuration."""
-        raise NotImplementedError
+    def but(self, **changes: Any) -> Self:
+        """The same with other values of some."""
+        return type(self)(self | changes)
 
 
 @dataclass(frozen=True, slots=True)
 class StudyFiles:
-    """What a study of defences, or a search, wrote: tables and figures for the page, and names of files.
+    """What a kind of study, or a search, wrote: tables and figures for the page, and names of files.
 
     on_page: whether the tables are on the page, too
     """
@@ -60,12 +55,11 @@ class StudyFiles:
     on_page: bool = True
 
 
-class Collection(ABC):
-    """Evaluates each trial of a study, collects all of them, and writes its tables and figures.
+class Kind(ABC):
+    """Takes measures of each trial of a study, and writes tables and figures of all of them.
 
     name: of the files;  drawn: names of all figures that it may write
-    recorded: whether the evaluation needs all messages of a run
-    from_metrics: whether metrics.json has all that the table needs: trials need no run folder and no evaluation
+    recorded: whether `evaluate` needs all messages of a run
     without_lies: the part `defence` of a trial in which nothing lies and nothing is faulty, which is then neither
                   recorded nor evaluated; None: every trial is evaluated
     """
@@ -73,65 +67,65 @@ class Collection(ABC):
     name: ClassVar[str]
     drawn: ClassVar[Sequence[str]] = ()
     recorded: ClassVar[bool] = False
-    from_metrics: ClassVar[bool] = False
     without_lies: ClassVar[Mapping[str, Any] | None] = None
 
-    def __init__(self, cells: Mapping[str, Any], scenes: Sequence[str], seeds: Sequence[int]) -> None:
-        """cells: by label of configuration;  scenes, seeds: planned for every cell."""
+    def __init__(self, factors: Mapping[str, Factors], scenes: Sequence[str], seeds: Sequence[int]) -> None:
+        """factors: by label of configuration;  scenes, seeds: planned for every configuration."""
         self.size = size_of(len(seeds), len(scenes))
-        self.scenes = len(scenes)
-        #: records of the trials that are done, by cell, in the order in which they were added
-        self.records: dict[Any, dict[TrialKey, Any]] = {cell: {} for cell in cells.values()}
-        #: the trials planned for every cell, with their place in the order of the study
+        self.scenes = list(scenes)
+        #: measures of the trials that are done, by factors, in the order in which they were added
+        self.trials: dict[Factors, dict[TrialKey, dict[str, Any]]] = {each: {} for each in factors.values()}
+        #: the trials planned for every configuration, with their place in the order of the study
         self.order = {TrialKey(scene, seed): index for index, (scene, seed) in enumerate(product(scenes, seeds))}
-        self._cells = dict(cells)
+        self._factors = dict(factors)
 
     @staticmethod
-    @abstractmethod
     def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
-        """The part `defence` of a trial's metrics.
+        """The part `defence` of a trial's metrics, from its run folder; without this method, trials need none.
 
         compromised: names of the agents with an adversary, whether it lied or not
         """
-
-    def add(self, outcome: Outcome) -> None:
-        """Add a finished trial."""
-        cell = self._cells[outcome.trial.configuration]
-        self.records[cell][outcome.trial.key] = self.record(cell, outcome)
-
-    def mean(
-        self, values: ArrayLike, bounds: tuple[float, float] = (-math.inf, math.inf), *, paired: bool = False
-    ) -> Measured:
-        """The mean over the trials planned for a cell (n,), in the order of the study; see `intervals.mean`."""
-        return intervals.mean(values, bounds, scenes=self.scenes, paired=paired)
-
-    def values(self, cell: Any, name: str) -> Floats:
-        """(trials,) a number of each trial planned for a cell, in the order of the study; NaN: it has none.
-
-        Of kinds whose records give numbers by name (`record[name]`).
-        """
-        records = self.records.get(cell, {})
-        return np.array([records[key][name] if key in records else math.nan for key in self.order])
+        raise NotImplementedError
 
     @abstractmethod
-    def record(self, cell: Any, outcome: Outcome) -> Any:
-        """What the table needs of one trial."""
+    def measures(self, factors: Factors, outcome: Outcome) -> dict[str, Any]:
+        """What the tables need of one trial, by name; numbers can be NaN."""
 
     @abstractmethod
     def table(self) -> Any:
-        """The table of all trials."""
+        """The rows of all trials, from which tables and figures are made."""
 
     @abstractmethod
     def tables(self, table: Any) -> ResultTables:
-        """The table as text."""
+        """The rows as text."""
 
     def more_tables(self, table: Any) -> Mapping[str, ResultTables]:
         """Other tables by file name, which the terminal does not show."""
         return {}
 
     def figures(self, table: Any) -> Mapping[str, RenderedFigure]:
-        """The figures of a table."""
+        """The figures of the rows."""
         return {}
+
+    def add(self, outcome: Outcome) -> None:
+        """Add a finished trial."""
+        factors = self._factors[outcome.trial.configuration]
+        self.trials[factors][outcome.trial.key] = self.measures(factors, outcome)
+
+    def values(self, factors: Factors, name: str) -> Floats:
+        """(trials,) a number of each trial planned for a configuration, in the order of the study; NaN: it has none."""
+        done = self.trials.get(factors, {})
+        return np.array([done[key].get(name, NAN) if key in done else NAN for key in self.order], np.float64)
+
+    def mean(
+        self, values: ArrayLike, bounds: tuple[float, float] = (-math.inf, math.inf), *, paired: bool = False
+    ) -> Measured:
+        """The mean over the trials planned for a configuration (n,), in the study's order; see `intervals.mean`."""
+        return intervals.mean(values, bounds, scenes=len(self.scenes), paired=paired)
+
+    def several(self, name: str) -> list[Any]:
+        """The values of a factor, in the order of the study."""
+        return list(dict.fromkeys(factors.get(name) for factors in self.trials))
 
     def write(self, folder: Path) -> StudyFiles:
         """Write tables and figures into the study's folder, and remove figures that it does not have any more."""
@@ -151,7 +145,16 @@ class Collection(ABC):
         return StudyFiles(tables, figures, names)
 
 
-def collection_of(kind: str) -> type[Collection]:
-    """The collection of a kind of study."""
-    collection: type[Collection] = import_module(f"{__package__}.{kind}").Collection
-    return collection
+def name_of_kind(kind: type[Kind]) -> str:
+    """By which `kind_of` finds a kind, in other processes too: MODULE:CLASS, or FILE.py:CLASS of a user's file."""
+    file = loading.file_of_class(kind)
+    own = kind.__module__.startswith("mast_zenoh.") or file is None
+    return f"{kind.__module__ if own else file}:{kind.__name__}"
+
+
+def kind_of(name: str) -> type[Kind]:
+    """The kind of study of a name."""
+    place, _, cls = name.rpartition(":")
+    module = loading.module(Path(place)) if place.endswith(".py") else import_module(place)
+    kind: type[Kind] = getattr(module, cls)
+    return kind

@@ -1,54 +1,82 @@
-"""Every defence against every adversary: what each defence is worth."""
+"""Every defence against every adversary: what each defence is worth.
+
+Measures of trials are put together in groups: a group has those of one pair of scene and seed, one for a cell, several
+for a defence. Groups are the trials of `intervals`: runs of the same scene and seed are not independent.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Floats
-from mast_zenoh.metrics.study_results import (
-    DEFENCE_MEASURES,
-    AgentTrustSeries,
-    DefenceMatrix,
-    Measured,
-    Row,
-    TrustPanel,
-)
-from mast_zenoh.report.tables.defences import defence_tables
+from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.metrics.study_results import AgentTrustSeries, Measured, Row, Survival, TrustPanel
+from mast_zenoh.metrics.trust import auc, partial_auc, roc
 from mast_zenoh.report.tables.text_table import ResultTables
-from mast_zenoh.study.defences import intervals, kinds
-from mast_zenoh.study.defences.cells import UNDEFENDED, Cell
-from mast_zenoh.study.defences.matrix_records import (
-    NO_LIES,
-    SCORES,
-    TrialRecord,
-    alarms_per_hour,
-    attacked_share,
-    characteristic,
-    delay_curve,
-    judges,
-    lies_detected,
-    median_delay,
-    shares_of_runs,
-    state_shares,
-)
+from mast_zenoh.study.defences import intervals
+from mast_zenoh.study.defences.choices import PREFIX, UNDEFENDED
+from mast_zenoh.study.defences.intervals import kaplan_meier
+from mast_zenoh.study.defences.kinds import Factors, Kind
+from mast_zenoh.study.defences.matrix_tables import DEFENCE_MEASURES, DefenceRoc, MatrixTable, defence_tables
+from mast_zenoh.study.numbers import ego, own_metrics
 from mast_zenoh.study.trial import Outcome, TrialKey
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.runs.run import Run
 
-#: Panels of trust over time.
-MAX_PANELS = 12
-#: Agents in a panel.
-MAX_AGENTS = 5
+#: Panels of trust over time, and agents in a panel.
+MAX_PANELS, MAX_AGENTS = 12, 5
+#: False alarms per hour below which the partial area under the characteristic is taken.
+ALARMS_PER_HOUR = 1.0
+#: Liars are below the local majority in a trial if they outnumber the honest viewers of fewer than this share of the
+#: lies that an honest agent could notice.
+MAJORITY = 0.5
+#: Scores of the ego's picture, per frame and in m, by the names of their differences.
+SCORES = {"fn{}": "fn", "fp{}": "fp", "ospa{}_m": "ospa_m"}
+#: The part `defence` of the metrics of a trial in which nothing lies and nothing is faulty, see `matrix_trial`.
+NO_LIES: dict[str, Any] = {
+    "first_attack_s": None,
+    "lies": {"all": 0, "observable": 0, "detected": 0},
+    "agents": {},
+    "false": {"identifiable": 0.0, "unidentifiable": 0.0},
+    "honest_majority": 1.0,
+    "outnumbered": None,
+}
+
+#: Measures of trials, by scene and seed.
+Groups = Sequence[Sequence[Mapping[str, Any]]]
 
 
-class Collection(kinds.Collection):
-    """A row for each cell, and a summary for each defence."""
+def is_fault(factors: Mapping[str, Any]) -> bool:
+    """Whether agents of a configuration are faulty and nobody lies."""
+    return str(factors["attack"]).startswith(PREFIX)
+
+
+def lies(factors: Mapping[str, Any]) -> bool:
+    """Whether a configuration has adversaries."""
+    return bool(factors["attack"]) and not is_fault(factors)
+
+
+def undefended(factors: Factors) -> Factors:
+    """The same without a defence."""
+    return factors.but(defence=UNDEFENDED)
+
+
+def alone(factors: Factors) -> Factors:
+    """The same defence without an attack."""
+    return factors.but(attack="", n_adversaries=0, placement="", budget=None)
+
+
+class DefenceMatrix(Kind):
+    """A row for each cell, and a summary for each defence.
+
+    Its factors are those of `choices.matrix_study`.
+    """
 
     name = "defences"
     drawn: ClassVar[Sequence[str]] = (
@@ -63,13 +91,10 @@ class Collection(kinds.Collection):
     recorded = True
     without_lies = NO_LIES
 
-    def __init__(self, cells: Mapping[str, Cell], scenes: Sequence[str], seeds: Sequence[int]) -> None:
-        super().__init__(cells, scenes, seeds)
-        #: of the first trial of each cell that has a trace
-        self._traces: dict[Cell, tuple[TrialKey, Mapping[str, Any]]] = {}
-        self._doubting: set[str] = set()
-        #: defences that suspended an agent in any run
-        self._suspending: set[str] = set()
+    def __init__(self, factors: Mapping[str, Factors], scenes: Sequence[str], seeds: Sequence[int]) -> None:
+        super().__init__(factors, scenes, seeds)
+        #: of the first trial of each configuration that has a trace; all of a large study would need much memory
+        self._traces: dict[Factors, tuple[TrialKey, Mapping[str, Any]]] = {}
 
     @staticmethod
     def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
@@ -77,197 +102,356 @@ class Collection(kinds.Collection):
 
         return matrix_trial.evaluate(run, compromised)
 
-    def record(self, cell: Cell, outcome: Outcome) -> TrialRecord:
-        key, content = outcome.trial.key, outcome.metrics["defence"].get("trust")
-        if content is not None:
-            if cell not in self._traces or self.order[key] < self.order[self._traces[cell][0]]:
-                self._traces[cell] = key, content
-            if doubts(content):
-                self._doubting.add(cell.defence)
-        result = TrialRecord.of(outcome.metrics)
-        if any(states.get("suspended") for states in result.state_seconds.values()):
-            self._suspending.add(cell.defence)
-        return result
+    def measures(self, factors: Factors, outcome: Outcome) -> dict[str, Any]:
+        """What the matrix needs of one trial's metrics:
 
-    def tables(self, table: DefenceMatrix) -> ResultTables:
-        return defence_tables(table)
+        fn, fp, ospa_m: of the ego's picture, per frame and in m;  own NAME: the user's metrics of it
+        fp_identifiable, fp_unidentifiable: false objects inserted;  honest_majority: share of objects with one
+        attacked:  whether an adversary changed a message;  observable, detected: numbers of lies
+        delays:    (s, whether it was suspended) of each agent with an observable lie, from that lie on
+        suspended_before: number of agents that were suspended already at that lie, which have no delay
+        suspicion: (greatest score, whether it lied) of each agent that was honest or lied
+        seconds:   s by conduct and state;  hours: of the run, 0 without trust;  frames: of the run
+        alarms:    suspensions of honest agents;  fault_alarms: of faulty agents that did not lie
+        wrongly_suspended: whether an agent that never lied was suspended, faulty or not
+        framed:    whether an agent that was honest was suspended after the attack began, and itself never lied
+        outnumbered: share of the lies, by object and frame, of which liars have more viewers than honest agents
+        doubts:    whether an agent is suspended or undecided
+        """
+        metrics, key = outcome.metrics, outcome.trial.key
+        part, trust = metrics["defence"], metrics.get("integrity", {})
+        trace = part.get("trust")
+        if trace is not None and (
+            factors not in self._traces or self.order[key] < self.order[self._traces[factors][0]]
+        ):
+            self._traces[factors] = key, trace
+        picture = metrics["agents"][ego(metrics)]["picture"]
+        watched = [each for each in part["agents"].values() if each["observed_s"] is not None]
+        judged = trust.get("agents", {})
+        never_lied = [each["suspensions"] for each in judged.values() if not each["lied"]]
+        noticeable = [name for name, each in part["agents"].items() if each["first_observable_s"] is not None]
+        begins_s = part["first_attack_s"]
+        return {
+            **{name: _known(picture[name]["mean"]) for name in SCORES.values()},
+            **{f"fp_{name}": value for name, value in part["false"].items()},
+            **own_metrics(picture),
+            "honest_majority": part["honest_majority"],
+            "attacked": begins_s is not None,
+            "observable": part["lies"]["observable"],
+            "detected": part["lies"]["detected"],
+            "delays": [(each["observed_s"], each["suspended_after_s"] is not None) for each in watched],
+            "suspended_before": len([name for name in noticeable if name in judged]) - len(watched),
+            "suspicion": [
+                (_known(each["suspicion"]["max"]), each["lied"])
+                for each in judged.values()
+                if each["lied"] or not each.get("faulty")
+            ],
+            "seconds": trust.get("seconds", {}),
+            "hours": trust.get("hours", 0.0),
+            "frames": metrics["frames"],
+            "alarms": trust.get("false_alarms", 0),
+            "fault_alarms": sum(each["fault_alarms"] for each in judged.values()),
+            "wrongly_suspended": any(never_lied),
+            "framed": begins_s is not None
+            and any(
+                suspension["conduct"] == "honest" and suspension["from_s"] >= begins_s
+                for suspensions in never_lied
+                for suspension in suspensions
+            ),
+            "outnumbered": _known(part["outnumbered"]),
+            "doubts": trace is not None and doubts(trace),
+        }
 
-    def figures(self, table: DefenceMatrix) -> Mapping[str, RenderedFigure]:
-        from mast_zenoh.report.figures.defences import figures_of_defences
+    def suspends(self, defence: str) -> bool:
+        """Whether a defence suspended an agent in any run."""
+        trials = (
+            each for factors, by_key in self.trials.items() if factors["defence"] == defence for each in by_key.values()
+        )
+        return any(states.get("suspended") for each in trials for states in each["seconds"].values())
 
-        return figures_of_defences(table)
-
-    def table(self) -> DefenceMatrix:
-        """The rows of all cells, each with the budget that does the most damage."""
-        groups: dict[tuple[str, str, int, str], list[Cell]] = {}
-        for cell in self.records:
-            groups.setdefault((cell.defence, cell.attack, cell.n_adversaries, cell.placement), []).append(cell)
-        worst = [(max(cells, key=self._mean_damage), len(cells)) for cells in groups.values()]
-        worst_cells = [cell for cell, _ in worst]
-        every = list(dict.fromkeys(cell.defence for cell in worst_cells))
+    def table(self) -> Any:
+        """The MatrixTable: the rows of all cells, each with the budget that does the most damage."""
+        groups: dict[Factors, list[Factors]] = {}
+        for factors in self.trials:
+            groups.setdefault(factors.but(budget=None), []).append(factors)
+        worst = {max(cells, key=self._mean_damage): len(cells) for cells in groups.values()}
+        every = list(dict.fromkeys(factors["defence"] for factors in worst))
         defences = [name for name in every if name != UNDEFENDED]
-        cells_of = {name: [cell for cell in self.records if cell.defence == name] for name in every}
+        cells_of = {name: [factors for factors in self.trials if factors["defence"] == name] for name in every}
         trials = {name: self._by_trial(cells) for name, cells in cells_of.items()}
-        delays = {name: delay_curve(trials[name]) for name in defences if name in self._suspending}
+        delays = {name: delay_curve(trials[name]) for name in defences if self.suspends(name)}
         curves = [characteristic(name, self._by_trial(cells_of[name], idle=False)) for name in defences]
-        panels, unshown = self._panels(worst_cells)
-        return DefenceMatrix(
-            rows=[self._row(cell, budgets) for cell, budgets in worst],
+        panels, unshown = self._panels([*worst])
+        return MatrixTable(
+            rows=[self._row(factors, budgets) for factors, budgets in worst.items()],
             rocs=[curve for curve in curves if curve is not None],
             delays={name: delay for name, delay in delays.items() if delay is not None},
             summaries=[
-                self._summary(name, [each for each in worst_cells if each.defence == name]) for name in defences
+                self._summary(name, [factors for factors in worst if factors["defence"] == name]) for name in defences
             ],
             size=self.size,
-            own=[self._own(cell, budgets) for cell, budgets in worst],
+            own=[self._own(factors, budgets) for factors, budgets in worst.items()],
             state_shares={name: state_shares(each) for name, each in trials.items()},
             panels=panels,
             unshown=unshown,
-            not_suspending=[name for name in defences if name not in self._suspending and judges(trials[name])],
+            not_suspending=[
+                name
+                for name in defences
+                if not self.suspends(name) and any(each["hours"] for group in trials[name] for each in group)
+            ],
         )
 
-    def _mean_damage(self, cell: Cell) -> float:
-        added = self._added(cell, "fn") + self._added(cell, "fp")
-        known = added[~np.isnan(added)]
+    def tables(self, table: Any) -> ResultTables:
+        return defence_tables(table)
+
+    def figures(self, table: Any) -> Mapping[str, RenderedFigure]:
+        from mast_zenoh.study.defences.matrix_figures import figures_of_defences  # drawing libraries are slow to load
+
+        return figures_of_defences(table)
+
+    def _mean_damage(self, factors: Factors) -> float:
+        damage = self.damage(factors)
+        known = damage[~np.isnan(damage)]
         return float(known.mean()) if known.size else -math.inf
 
-    def _added(self, cell: Cell, name: str) -> Floats:
-        """A score minus that without attack and without defence, of the same scene and seed."""
-        return self.values(cell, name) - self.values(cell.undefended.alone, name)
+    def added(self, factors: Factors, name: str) -> Floats:
+        """(trials,) a score minus that without attack and without defence, of the same scene and seed."""
+        return self.values(factors, name) - self.values(undefended(alone(factors)), name)
 
-    def _row(self, cell: Cell, budgets: int) -> Row:
-        values = {f"{_stem(name)}_added{_unit(name)}": self._added(cell, name) for name in SCORES}
-        values["damage"] = values["fn_added"] + values["fp_added"]
-        for name in SCORES:
-            difference = self.values(cell, name) - self.values(cell.undefended, name)
-            values[f"{_stem(name)}_vs_undefended{_unit(name)}"] = difference
-        measures = {name: self.mean(each, paired=True) for name, each in values.items()}
+    def damage(self, factors: Factors) -> Floats:
+        """(trials,) missed and false objects per frame, minus those without attack and without defence."""
+        return self.added(factors, "fn") + self.added(factors, "fp")
+
+    def _row(self, factors: Factors, budgets: int) -> Row:
+        values = {name.format("_added"): self.added(factors, score) for name, score in SCORES.items()}
+        values["damage"] = self.damage(factors)
+        for name, score in SCORES.items():
+            difference = self.values(factors, score) - self.values(undefended(factors), score)
+            values[name.format("_vs_undefended")] = difference
+        numbers = {name: self.mean(each, paired=True) for name, each in values.items()}
         for name in ("fp_identifiable", "fp_unidentifiable"):
-            measures[name] = self.mean(self.values(cell, name), (0.0, math.inf))
-        majority = self.values(cell, "honest_majority")
+            numbers[name] = self.mean(self.values(factors, name), (0.0, math.inf))
+        majority = self.values(factors, "honest_majority")
         # Where nobody lies because agents are faulty, there is no bound.
-        measures["honest_majority"] = Measured() if cell.is_fault else self.mean(majority, (0.0, 1.0))
-        measures["identifiable_removed"] = self._removed([cell])
-        groups = self._by_trial([cell])
-        measures["lies_detected"] = lies_detected(groups)
-        measures["median_delay_s"] = median_delay(groups) if cell.defence in self._suspending else Measured()
-        measures["honest_suspended_per_hour"] = alarms_per_hour(groups)
-        measures["faulty_suspended_per_hour"] = alarms_per_hour(groups, faulty=True)
-        measures |= shares_of_runs(groups)
-        measures["attacked"] = attacked_share(groups) if cell.lies else Measured()
-        delay = delay_curve(groups)
-        counts = {
-            "liars_watched": delay.watched if delay else 0,
-            "liars_suspended": delay.detections if delay else 0,
-            "suspended_before": sum(record.suspended_before for group in groups for record in group),
+        numbers["honest_majority"] = Measured() if is_fault(factors) else self.mean(majority, (0.0, 1.0))
+        groups = self._by_trial([factors])
+        numbers |= {
+            "identifiable_removed": self._removed([factors]),
+            "lies_detected": lies_detected(groups),
+            "median_delay_s": median_delay(groups) if self.suspends(factors["defence"]) else Measured(),
+            "honest_suspended_per_hour": alarms_per_hour(groups),
+            "faulty_suspended_per_hour": alarms_per_hour(groups, "fault_alarms"),
+            "attacked": attacked_share(groups) if lies(factors) else Measured(),
+            **shares_of_runs(groups),
         }
-        seconds = _sum_seconds(record.state_seconds for record in self.records[cell].values())
-        measures |= {name: Measured(float(each), trials=len(groups)) for name, each in (counts | seconds).items()}
-        return Row(_of(cell, budgets), len(groups), {name: measures[name] for name in (*DEFENCE_MEASURES, *seconds)})
+        delay = delay_curve(groups)
+        before = sum(each["suspended_before"] for group in groups for each in group)
+        watched = (delay.watched, delay.detections) if delay else (0, 0)
+        counts = dict(zip(("liars_watched", "liars_suspended", "suspended_before"), (*watched, before), strict=True))
+        seconds: Counter[str] = Counter()
+        for each in self.trials[factors].values():
+            for conduct, states in each["seconds"].items():
+                seconds.update({f"seconds {conduct} {state}": seconds_s for state, seconds_s in states.items()})
+        numbers |= {name: Measured(float(each), trials=len(groups)) for name, each in (counts | dict(seconds)).items()}
+        return Row(_of(factors, budgets), len(groups), {name: numbers[name] for name in (*DEFENCE_MEASURES, *seconds)})
 
-    def _own(self, cell: Cell, budgets: int) -> Row:
-        records = self.records[cell].values()
+    def _own(self, factors: Factors, budgets: int) -> Row:
+        trials = self.trials[factors].values()
         numbers = {}
-        for name in dict.fromkeys(name for record in records for name in record.own):
-            numbers[name] = self.mean(self.values(cell, name))
-            numbers[f"{name} difference"] = self.mean(self._added(cell, name), paired=True)
-        return Row(_of(cell, budgets), len(records), numbers)
+        for name in dict.fromkeys(name for each in trials for name in each if name.startswith("own ")):
+            short = name.removeprefix("own ")
+            numbers[short] = self.mean(self.values(factors, name))
+            numbers[f"{short} difference"] = self.mean(self.added(factors, name), paired=True)
+        return Row(_of(factors, budgets), len(trials), numbers)
 
-    def _summary(self, defence: str, cells: Sequence[Cell]) -> Row:
+    def _summary(self, defence: str, cells: Sequence[Factors]) -> Row:
         """cells: of the rows of this defence."""
-        alone, attacked = cells[0].alone, [cell for cell in cells if cell.lies]
-        lying, faulty = self._by_trial(attacked), self._by_trial(cell for cell in cells if cell.is_fault)
-        quiet = self._by_trial([alone] if alone in self.records else [])
+        without, attacked = alone(cells[0]), [factors for factors in cells if lies(factors)]
+        lying, faulty = self._by_trial(attacked), self._by_trial(filter(is_fault, cells))
+        quiet = self._by_trial([without] if without in self.trials else [])
         alarms = alarms_per_hour(quiet)
-        frames = sum(record.frames for group in quiet for record in group if record.hours)
+        frames = sum(each["frames"] for group in quiet for each in group if each["hours"])
         numbers = {
             "lies_detected": lies_detected(lying),
-            "median_delay_s": median_delay(lying) if defence in self._suspending else Measured(),
+            "median_delay_s": median_delay(lying) if self.suspends(defence) else Measured(),
             "identifiable_removed": self._removed(attacked),
             "alarms_per_hour": alarms,
             "frames": Measured(float(frames), trials=alarms.trials),
-            "fn_added": self.mean(self._added(alone, "fn"), paired=True),
-            "fp_added": self.mean(self._added(alone, "fp"), paired=True),
+            "fn_added": self.mean(self.added(without, "fn"), paired=True),
+            "fp_added": self.mean(self.added(without, "fp"), paired=True),
             "faults_suspended": shares_of_runs(faulty)["wrongly_suspended"],
             "framed_by_minority": shares_of_runs(lying)["framed_by_minority"],
         }
         return Row({"defence": defence}, len(lying), numbers)
 
-    def _removed(self, cells: Sequence[Cell]) -> Measured:
+    def _removed(self, cells: Sequence[Factors]) -> Measured:
         """Share of identifiable inserted objects of the undefended runs that are not in the defended ones.
 
         cells: added up by scene and seed, without runs in which the adversaries did not lie to this defence; a cell
         without a defence has none to remove
         """
-        attacked = [cell for cell in cells if cell.lies and cell.defence != UNDEFENDED]
+        attacked = [factors for factors in cells if lies(factors) and factors["defence"] != UNDEFENDED]
         if not attacked:
             return Measured()
+        return intervals.one_minus(
+            intervals.share(*self.paired_sums(attacked, lambda each: self.values(each, "fp_identifiable")))
+        )
+
+    def paired_sums(self, cells: Sequence[Factors], values: Callable[[Factors], Floats]) -> Floats:
+        """(2, trials) values with the defence and without it, added up over cells; NaN: no cell has both.
+
+        Without runs in which the adversaries did not lie to this defence.
+        """
         pairs = np.array(
             [
-                [self._where_attacked(cell, self.values(each, "fp_identifiable")) for each in (cell, cell.undefended)]
-                for cell in attacked
+                np.where(
+                    self.values(factors, "attacked") == 1.0, [values(factors), values(undefended(factors))], np.nan
+                )
+                for factors in cells
             ]
         )
-        pairs[np.isnan(pairs).any(axis=1)[:, None].repeat(2, axis=1)] = np.nan
-        missing = np.isnan(pairs).all(axis=(0, 1))
-        remaining, inserted = (np.where(missing, np.nan, np.nansum(pairs[:, index], axis=0)) for index in (0, 1))
-        return intervals.one_minus(intervals.share(remaining, inserted))
+        pairs = np.where(np.isnan(pairs).any(axis=1, keepdims=True), np.nan, pairs)
+        return np.where(np.isnan(pairs).all(axis=(0, 1)), np.nan, np.nansum(pairs, axis=0))
 
-    def _where_attacked(self, cell: Cell, values: Floats) -> Floats:
-        """(trials,) the values of those trials of a cell in which its adversaries lied; NaN: they did not."""
-        attacked = {key for key, record in self.records.get(cell, {}).items() if record.attacked}
-        return np.where([key in attacked for key in self.order], values, np.nan)
-
-    def _by_trial(self, cells: Iterable[Cell], *, idle: bool = True) -> list[list[TrialRecord]]:
-        """The records of cells, grouped by scene and seed; idle: also those whose adversaries never lied."""
-        groups: dict[TrialKey, list[TrialRecord]] = {}
-        for cell in cells:
-            for key, record in self.records[cell].items():
-                if idle or record.attacked or not cell.lies:
-                    groups.setdefault(key, []).append(record)
+    def _by_trial(self, cells: Iterable[Factors], *, idle: bool = True) -> list[list[dict[str, Any]]]:
+        """The measures of cells, grouped by scene and seed; idle: also those whose adversaries never lied."""
+        groups: dict[TrialKey, list[dict[str, Any]]] = {}
+        for factors in cells:
+            for key, each in self.trials[factors].items():
+                if idle or each["attacked"] or not lies(factors):
+                    groups.setdefault(key, []).append(each)
         return [groups[key] for key in sorted(groups, key=self.order.__getitem__)]
 
-    def _panels(self, cells: Sequence[Cell]) -> tuple[list[TrustPanel], int]:
+    def _panels(self, cells: Sequence[Factors]) -> tuple[list[TrustPanel], int]:
         """The first trial of each defence that doubts agents, under each adversary; and the number of other such pairs.
 
         cells: of the rows
         """
-        first: dict[tuple[str, str], Cell] = {}
-        for cell in cells:
-            if cell.attack and cell.defence in self._doubting and cell in self._traces:
-                first.setdefault((cell.attack, cell.defence), cell)
-        attacks = list(dict.fromkeys(cell.attack for cell in cells))
+        doubting = {
+            factors["defence"]
+            for factors, trials in self.trials.items()
+            if any(each["doubts"] for each in trials.values())
+        }
+        first: dict[tuple[str, str], Factors] = {}
+        for factors in cells:
+            if factors["attack"] and factors["defence"] in doubting and factors in self._traces:
+                first.setdefault((factors["attack"], factors["defence"]), factors)
+        attacks = list(dict.fromkeys(factors["attack"] for factors in cells))
         pairs = sorted(first, key=lambda pair: attacks.index(pair[0]))  # the defences of one adversary side by side
-        panels = [panel(self._traces[first[pair]][1], _title(first[pair])) for pair in pairs[:MAX_PANELS]]
-        return panels, len(pairs) - len(panels)
+        shown = [first[pair] for pair in pairs[:MAX_PANELS]]
+        title = "{defence} against {attack} ({n_adversaries}, {placement})"
+        return [panel(self._traces[each][1], title.format_map(each)) for each in shown], len(pairs) - len(shown)
 
 
-def _title(cell: Cell) -> str:
-    return f"{cell.defence} against {cell.attack} ({cell.n_adversaries}, {cell.placement})"
-
-
-def _of(cell: Cell, budgets: int) -> dict[str, Any]:
+def _of(factors: Factors, budgets: int) -> dict[str, Any]:
     names = ("defence", "attack", "n_adversaries", "placement", "budget")
-    return {name: getattr(cell, name) for name in names} | {"budgets": budgets}
+    return {name: factors[name] for name in names} | {"budgets": budgets}
 
 
-def _sum_seconds(parts: Iterable[Mapping[str, Mapping[str, float]]]) -> dict[str, float]:
-    """The sums of s by conduct and state."""
-    total: dict[str, float] = {}
-    for part in parts:
-        for conduct, states in part.items():
-            for state, seconds in states.items():
-                name = f"seconds {conduct} {state}"
-                total[name] = total.get(name, 0.0) + seconds
-    return total
+def _known(value: float | None) -> float:
+    return math.nan if value is None else float(value)
 
 
-def _stem(name: str) -> str:
-    return name.removesuffix("_m")
+# -- measures of groups ------------------------------------------------------------------------------------------------
 
 
-def _unit(name: str) -> str:
-    return "_m" if name.endswith("_m") else ""
+def lies_detected(groups: Groups) -> Measured:
+    """The share of observable lies that were detected."""
+    return intervals.share(*(_sums(groups, name) for name in ("detected", "observable")))
+
+
+def _sums(groups: Groups, name: str) -> list[float]:
+    return [sum(each[name] for each in group) for group in groups]
+
+
+def median_delay(groups: Groups) -> Measured:
+    """The median delay; its upper bound is infinite if it is not known that half are detected."""
+    delays = [each for each in _pairs(groups, "delays") if len(each)]
+
+    def median(rows: Ints) -> float:
+        drawn = np.concatenate([delays[row] for row in rows.tolist()])
+        value = kaplan_meier(drawn[:, 0], drawn[:, 1]).median_s
+        return math.inf if math.isnan(value) else value
+
+    measured = intervals.pooled(median, len(delays))
+    return measured._replace(value=math.nan) if math.isinf(measured.value) else measured
+
+
+def delay_curve(groups: Groups) -> Survival | None:
+    """The share of liars not suspended yet; None: nobody lied, or nobody was judged."""
+    delays = np.concatenate([np.zeros((0, 2)), *_pairs(groups, "delays")])
+    return kaplan_meier(delays[:, 0], delays[:, 1]) if len(delays) else None
+
+
+def alarms_per_hour(groups: Groups, name: str = "alarms") -> Measured:
+    """Suspensions of honest agents, or of faulty ones (`fault_alarms`)."""
+    judged = [each for group in groups for each in group if each["hours"]]
+    return intervals.rate(sum(each[name] for each in judged), sum(each["hours"] for each in judged), len(judged))
+
+
+def attacked_share(groups: Groups) -> Measured:
+    """The share of runs in which adversaries lied, which some never do."""
+    return intervals.share_of_runs([[each["attacked"] for each in group] for group in groups])
+
+
+def shares_of_runs(groups: Groups) -> dict[str, Measured]:
+    """The share of runs in which something happened, of those in which it can happen: with lies or without."""
+
+    def share(happened: str, counts: Callable[[Mapping[str, Any]], bool]) -> Measured:
+        return intervals.share_of_runs(
+            [[each[happened] > 0 for each in group if each["hours"] and counts(each)] for group in groups]
+        )
+
+    return {
+        "wrongly_suspended": share("wrongly_suspended", lambda each: not each["attacked"]),
+        "honest_suspended": share("alarms", lambda each: True),
+        "framed": share("framed", lambda each: each["attacked"]),
+        "framed_by_minority": share("framed", lambda each: each["outnumbered"] < MAJORITY),
+        "framed_by_majority": share("framed", lambda each: each["outnumbered"] >= MAJORITY),
+    }
+
+
+def state_shares(groups: Groups) -> dict[str, dict[str, Measured]]:
+    """By conduct and state of trust, the share of the time with this conduct."""
+    shares = {}
+    for conduct in dict.fromkeys(name for group in groups for each in group for name in each["seconds"]):
+        seconds = [[each["seconds"][conduct] for each in group if conduct in each["seconds"]] for group in groups]
+        states = dict.fromkeys(state for group in seconds for each in group for state in each)
+        sums = {state: np.array([sum(each.get(state, 0.0) for each in group) for group in seconds]) for state in states}
+        whole = np.sum(list(sums.values()), axis=0)
+        if whole.any():
+            shares[conduct] = {state: intervals.share(part, whole) for state, part in sums.items()}
+    return shares
+
+
+def characteristic(defence: str, groups: Groups) -> DefenceRoc | None:
+    """The characteristic of one score for each agent and run; None if nobody lied, or scores are equal or unknown."""
+    judged = [group for group in groups if any(each["hours"] for each in group)]
+    parts, hours = _pairs(judged, "suspicion"), np.array(_sums(judged, "hours"))
+    pairs = np.concatenate([np.zeros((0, 2)), *parts])
+    if not pairs[:, 1].any() or len(set(pairs[~np.isnan(pairs[:, 0]), 0].tolist())) < 2:
+        return None
+
+    def area(rows: Ints) -> float:
+        drawn = np.concatenate([parts[row] for row in rows.tolist()])
+        return auc(drawn[:, 0], drawn[:, 1])
+
+    def partial(rows: Ints) -> float:
+        drawn = np.concatenate([parts[row] for row in rows.tolist()])
+        return partial_auc(drawn[:, 0], drawn[:, 1], float(hours[rows].sum()), ALARMS_PER_HOUR)
+
+    whole = intervals.pooled(area, len(parts))
+    enough = hours.sum() * ALARMS_PER_HOUR >= 1.0  # a single alarm in less is more than that
+    below = intervals.pooled(partial, len(parts)) if enough else Measured()
+    return DefenceRoc(defence, roc(pairs[:, 0], pairs[:, 1]), whole, below, float(hours.sum()))
+
+
+def _pairs(groups: Groups, name: str) -> list[Floats]:
+    """(n, 2) delays s and whether each ended with a suspension, or suspicions, of each group."""
+    return [np.array([each for trial in group for each in trial[name]], np.float64).reshape(-1, 2) for group in groups]
+
+
+# -- trust over time ---------------------------------------------------------------------------------------------------
 
 
 def panel(content: Mapping[str, Any], title: str) -> TrustPanel:
@@ -287,7 +471,7 @@ def _agent_series(name: str, content: Mapping[str, Any]) -> AgentTrustSeries:
     return AgentTrustSeries(
         name,
         np.array(content["time_s"], np.float64),
-        np.array([math.nan if value is None else value for value in content["log_odds"]], np.float64),
+        np.array([_known(value) for value in content["log_odds"]], np.float64),
         {state: [(start, stop) for start, stop in spans] for state, spans in content["states"].items()},
         [(start, stop) for start, stop in content["lies"]],
         [(kind, start, stop) for kind, start, stop in content["faults"]],

@@ -6,7 +6,45 @@ was not checked), in the authors' code, or in the paper. Ours are computed from 
 
 from __future__ import annotations
 
-from mast_zenoh.metrics.field_results import Published
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mast_zenoh.metrics.study_results import Measured
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """A published figure of a method, or a method without one.
+
+    method: our stage or attack;  source: citation
+    figure: of the paper, "" if none is known;  basis: how figure and method are known
+    quantities: names in `field_tables.QUANTITIES`, nearest to the figure;  why: ours differs
+    defences, attacks: names in the matrix, of which one is the method; (): all
+    """
+
+    method: str
+    source: str
+    figure: str
+    basis: str
+    quantities: tuple[str, ...]
+    why: str
+    defences: tuple[str, ...] = ()
+    attacks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PublishedNumber:
+    """One of our numbers next to a published figure.
+
+    quantity: name in `field_tables.QUANTITIES`
+    attacks:  those of the runs that it is from, none: of runs without an attack
+    """
+
+    quantity: str
+    defence: str
+    attacks: Sequence[str]
+    value: Measured
+
 
 #: How a figure, or the method without one, is known.
 ABSTRACT = "abstract only, not checked"

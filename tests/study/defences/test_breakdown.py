@@ -16,8 +16,9 @@ import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.metrics.study_results import Row
 from mast_zenoh.study import definition
-from mast_zenoh.study.defences import BreakdownCell, sensors_of
-from mast_zenoh.study.defences.breakdown import Collection, crossing
+from mast_zenoh.study.defences import sensors_of
+from mast_zenoh.study.defences.breakdown import Breakdown, crossing
+from mast_zenoh.study.defences.kinds import Factors
 
 
 @pytest.mark.parametrize(
@@ -82,15 +83,16 @@ def per_frame(picture: int, local: int) -> dict[str, np.ndarray]:
     }
 
 
-def collected(*trials: tuple[int, str, dict[str, Any], tuple[int, int]]) -> Collection:
+def collected(*trials: tuple[int, str, dict[str, Any], tuple[int, int]]) -> Breakdown:
     """Of trials: liars, scene, metrics, and errors of picture and ego alone."""
-    cells = [BreakdownCell("Lie" if liars else "", 5, liars, 0.5) for liars in sorted({each[0] for each in trials})]
-    if not any(cell.liars for cell in cells):
-        cells.append(BreakdownCell("Lie", 5, 4, 0.5))
-    collection = Collection({cell.label: cell for cell in cells}, list(dict.fromkeys(each[1] for each in trials)), [0])
+    counts = {each[0] for each in trials}
+    factors = {
+        str(liars): Factors(attack="Lie" if liars else "", agents=5, liars=liars, attack_start_s=0.5)
+        for liars in sorted(counts if any(counts) else {*counts, 4})
+    }
+    collection = Breakdown(factors, list(dict.fromkeys(each[1] for each in trials)), [0])
     for liars, scene, content, errors in trials:
-        label = next(cell.label for cell in cells if cell.liars == liars)
-        collection.add(outcome(label, scene, 0, content, per_frame(*errors)))
+        collection.add(outcome(str(liars), scene, 0, content, per_frame(*errors)))
     return collection
 
 
@@ -165,10 +167,10 @@ def test_a_defence_that_never_breaks_has_a_point_beyond_what_was_tried() -> None
 
 def test_the_numbers_of_liars_surround_the_bound() -> None:
     study = definition.load("breakdown", ["adversaries=coordinated"])
-    liars = {n: [c.liars for c in study.cells.values() if c.agents == n] for n in (5, 13, 21)}  # type: ignore[union-attr]
+    liars = {n: [each["liars"] for each in study.factors.values() if each["agents"] == n] for n in (5, 13, 21)}
     assert liars[5] == [0, 1, 2, 3, 4]
     assert liars[21] == [0, 2, 5, 7, 8, 9, 11, 12, 13, 17]
-    assert study.evaluation == "breakdown"
+    assert study.kind is Breakdown
     assert "n_infrastructure=12" in study.configurations[-1].settings
 
 

@@ -13,14 +13,18 @@ from defence_outcomes import outcome
 import mast_zenoh as mast
 from mast_zenoh.metrics.study_results import Row
 from mast_zenoh.study import definition
-from mast_zenoh.study.defences import CooperationCell
-from mast_zenoh.study.defences.cooperation import Collection, conclusion
+from mast_zenoh.study.defences.cooperation import Cooperation, conclusion
+from mast_zenoh.study.defences.kinds import Factors
 
 FRAMES = 10
 START_S = 0.5
 
 
-def trial(cell: CooperationCell, seed: int, false: float, deceived: float, busy: float | None = None) -> Any:
+def factors_of(architecture: str, agents: int, attacked: bool, attack_start_s: float = START_S) -> Factors:
+    return Factors(architecture=architecture, agents=agents, attacked=attacked, attack_start_s=attack_start_s)
+
+
+def trial(label: str, seed: int, false: float, deceived: float, busy: float | None = None) -> Any:
     """A trial of ten frames; before the attack there are nine false objects a frame, and everybody is deceived."""
     metrics: dict[str, Any] = {
         "scored_frames": [0, FRAMES - 1],
@@ -44,25 +48,26 @@ def trial(cell: CooperationCell, seed: int, false: float, deceived: float, busy:
         "fn": np.repeat([1.0, 50.0], FRAMES),
         "fp": np.concatenate([[9.0] * 5, [false] * 5, [50.0] * FRAMES]),
     }
-    return outcome(cell.label, "junction", seed, metrics, per_frame)
+    return outcome(label, "junction", seed, metrics, per_frame)
 
 
-def trials_of(architectures: dict[str, tuple[float, float]], seeds: int = 6) -> Collection:
+def trials_of(architectures: dict[str, tuple[float, float]], seeds: int = 6) -> Cooperation:
     """Trials of architectures with (false objects, deceived share) under lies.
 
     On odd seeds there is one false object more, with lies or without.
     """
     cells = {
-        (architecture, attacked): CooperationCell(architecture, 5, attacked, START_S)
+        f"{architecture} {attacked}": factors_of(architecture, 5, attacked)
         for architecture in architectures
         for attacked in (False, True)
     }
-    collection = Collection({cell.label: cell for cell in cells.values()}, ["junction"], range(seeds))
-    for (architecture, attacked), cell in cells.items():
+    collection = Cooperation(cells, ["junction"], range(seeds))
+    for label, cell in cells.items():
         for seed in range(seeds):
             odd = float(seed % 2)
-            false, deceived = architectures[architecture] if attacked else (0.0, 0.0)
-            collection.add(trial(cell, seed, odd + false, deceived, 0.5 if architecture == "radio" else None))
+            false, deceived = architectures[cell["architecture"]] if cell["attacked"] else (0.0, 0.0)
+            busy = 0.5 if cell["architecture"] == "radio" else None
+            collection.add(trial(label, seed, odd + false, deceived, busy))
     return collection
 
 
@@ -102,9 +107,8 @@ def test_the_conclusion_names_what_differs_and_what_does_not() -> None:
 
 
 def test_a_trial_without_its_pair_makes_no_row_and_no_figure(tmp_path: Path) -> None:
-    cell = CooperationCell("peers", 5, True, START_S)
-    collection = Collection({cell.label: cell}, ["junction"], [0])
-    collection.add(trial(cell, 0, 1.0, 1.0))
+    collection = Cooperation({"peers": factors_of("peers", 5, True)}, ["junction"], [0])
+    collection.add(trial("peers", 0, 1.0, 1.0))
     table = collection.table()
     assert table == []
     assert conclusion(table) == ""
@@ -123,12 +127,12 @@ def test_the_deceived_share_of_a_run_is_that_of_its_metrics(tmp_path: Path) -> N
         "peers", out=tmp_path / "run", runtime="inproc", frames=40, report=False, n_adversaries=1, attack_start_s=2.0
     )
     metrics = run.summary
-    part = Collection.evaluate(run, ["infra_1"])
-    cell = CooperationCell("peers", 7, attacked=True, attack_start_s=1.0)
+    part = Cooperation.evaluate(run, ["infra_1"])
+    cell = factors_of("peers", 7, attacked=True, attack_start_s=1.0)
     columns = dict(agent="ego", estimator="picture", frame=25, fn=1.0, fp=1.0)
     per_frame = {name: np.array([value], object) for name, value in columns.items()}
-    trial_of_run = outcome(cell.label, "junction", 0, metrics | {"defence": part}, per_frame)
-    record = Collection({cell.label: cell}, ["junction"], [0]).record(cell, trial_of_run)
+    trial_of_run = outcome("peers", "junction", 0, metrics | {"defence": part}, per_frame)
+    record = Cooperation({"peers": cell}, ["junction"], [0]).measures(cell, trial_of_run)
     _, last = metrics["scored_frames"]
     measured = metrics["pictures"]["deceived"]
     assert part["lies_from_s"] == measured["lies_from_s"] == 2.0
@@ -142,7 +146,7 @@ def test_the_deceived_share_of_a_run_is_that_of_its_metrics(tmp_path: Path) -> N
 
 def test_the_shipped_study_pairs_every_place_and_number_of_agents() -> None:
     study = definition.load("cooperation", ["agents=5,9"])
-    assert {(cell.architecture, cell.agents, cell.attacked) for cell in study.cells.values()} == {
+    assert {(cell["architecture"], cell["agents"], cell["attacked"]) for cell in study.factors.values()} == {
         (architecture, agents, attacked)
         for architecture in ("centre", "regions", "peers", "radio")
         for agents in (5, 9)

@@ -16,9 +16,15 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.study import definition, execution, trial, trials
-from mast_zenoh.study.defences import PLACEMENTS, BreakdownCell, Cell, DriftCell, FieldCell, matrix_records, place
+from mast_zenoh.study.defences import PLACEMENTS, place
+from mast_zenoh.study.defences.breakdown import Breakdown
 from mast_zenoh.study.defences.choices import FAULTS, resolve_choice
-from mast_zenoh.study.defences.kinds import DefenceCell, collection_of
+from mast_zenoh.study.defences.cooperation import Cooperation
+from mast_zenoh.study.defences.drift import Drift
+from mast_zenoh.study.defences.driving_matrix import DrivingMatrix
+from mast_zenoh.study.defences.field_matrix import FieldMatrix
+from mast_zenoh.study.defences.kinds import Kind, kind_of, name_of_kind
+from mast_zenoh.study.defences.matrix import NO_LIES, DefenceMatrix
 
 DEFENCE = """
 from mast_zenoh.integrity import NoIntegrity
@@ -32,7 +38,33 @@ from mast_zenoh.attacks import PassThrough
 class Polite(PassThrough):
     '''Relays every message unchanged.'''
 """
-CELLS = (Cell("NoIntegrity"), DriftCell(0.5), BreakdownCell("", 5, 0, 4.0), FieldCell("NoIntegrity"))
+KIND = """
+from mast_zenoh.metrics.study_results import Row
+from mast_zenoh.report.tables.text_table import ResultTables, numbers_of_rows, shown, table_of_rows
+from mast_zenoh.study.defences.kinds import Kind
+
+class Misses(Kind):
+    '''Missed objects by number of poles.'''
+
+    name = "misses"
+
+    def measures(self, factors, outcome):
+        return {"fn": outcome.metrics["agents"]["ego"]["picture"]["fn"]["mean"]}
+
+    def table(self):
+        return [Row(dict(each), 1, {"fn": self.mean(self.values(each, "fn"))}) for each in self.trials]
+
+    def tables(self, table):
+        page = table_of_rows("Misses", "", table, {"missed": shown("fn")})
+        return ResultTables("Misses", "", self.size, [page], numbers_of_rows(table), [page])
+
+def study():
+    runs = {
+        f"{n} poles": dict(scenario="baseline", parameters=dict(n_infrastructure=n), factors=dict(poles=n))
+        for n in (1, 2)
+    }
+    return dict(kind=Misses, runs=runs, scenes=["intersection:4"], trials=1, frames=5, runtime="inproc")
+"""
 #: Settings of a study with the baseline, a second defence, and one run of each under attack.
 FAULTY_LABELS = ["NoIntegrity alone", "NoIntegrity fault ghosts 2 worst", "KOfN alone", "KOfN fault ghosts 2 worst"]
 SMALL = ["defences=NoIntegrity,KOfN", "adversaries=coordinated", "counts=1", "n_infrastructure=2", "attack_start_s=0.3"]
@@ -71,7 +103,7 @@ def test_every_defence_meets_every_adversary_and_runs_alone(settings: list[str],
 @pytest.mark.parametrize("preset", ["quick", "full", "today", "alarms", "faults", "framing", "adaptive"])
 def test_every_preset_is_short_to_name_and_uses_no_calibration_data(preset: str) -> None:
     study = definition.load("defences", [f"preset={preset}"])
-    assert len(study.configurations) == len(study.cells) > 1
+    assert len(study.configurations) == len({*study.factors.values()}) > 1
     assert study.baseline == "NoIntegrity alone"
     first = study.scenes[0].settings[0].removeprefix("scene=")
     scene = {"type": "Intersection", "scene_index": int(first.removeprefix("intersection:"))}
@@ -85,8 +117,8 @@ def test_the_preset_alarms_plays_108000_unattacked_frames() -> None:
 
 def test_todays_attacks_are_on_tracks_alone_and_have_no_budget() -> None:
     study = definition.load("defences", ["preset=today"])
-    assert {cell.attack for cell in study.cells.values()} == {"", "coordinated", "uncoordinated"}
-    assert {cell.budget for cell in study.cells.values()} == {None}
+    assert {cell["attack"] for cell in study.factors.values()} == {"", "coordinated", "uncoordinated"}
+    assert {cell["budget"] for cell in study.factors.values()} == {None}
     for name in ("coordinated", "uncoordinated"):
         settings = [f"attack={name}", "scene=intersection:4", "placement=poles", "n_adversaries=1"]
         _, content = scenario.load("defence_cell", settings)
@@ -120,19 +152,23 @@ def test_an_unattacked_trial_writes_no_run_folder_and_has_the_metrics_of_a_recor
         patch.setattr(execution, "_run_in_folder", lambda *_: pytest.fail("recorded"))
         outcome = execution.run(alone)
     assert outcome.error == ""
-    assert outcome.metrics["defence"] == matrix_records.NO_LIES
+    assert outcome.metrics["defence"] == NO_LIES
     assert outcome.metrics["integrity"]["hours"] == pytest.approx(8 * 0.1 / 3600.0)
     monkeypatch.setattr(execution, "_is_disturbed", lambda _: True)
     recorded = execution.run(alone)
     same = {name: part for name, part in outcome.metrics.items() if name != "defence"}
     assert json.loads(json.dumps(same)) == {name: recorded.metrics[name] for name in same}
-    assert recorded.metrics["defence"].items() >= matrix_records.NO_LIES.items()
+    assert recorded.metrics["defence"].items() >= NO_LIES.items()
 
 
 def test_budgets_are_for_adversaries_that_have_one() -> None:
     study = definition.load("defences", ["adversaries=PoseDrift,Framing", "counts=1", "budgets=(1.0, 4.0)"])
-    cells = [cell for cell in study.cells.values() if cell.defence == "KOfN" and cell.attack]
-    assert [(cell.attack, cell.budget) for cell in cells] == [("PoseDrift", None), ("Framing", 1.0), ("Framing", 4.0)]
+    cells = [cell for cell in study.factors.values() if cell["defence"] == "KOfN" and cell["attack"]]
+    assert [(cell["attack"], cell["budget"]) for cell in cells] == [
+        ("PoseDrift", None),
+        ("Framing", 1.0),
+        ("Framing", 4.0),
+    ]
 
 
 def test_a_fault_takes_the_places_of_adversaries() -> None:
@@ -162,7 +198,7 @@ def test_a_full_preset_has_every_shipped_defence() -> None:
     study = definition.load("defences", ["preset=full"])
     shipped = {name for name, cls in known_types(Integrity).items() if cls.__module__.startswith("mast_zenoh.")}
     # A centre hears no gossip: Hearsay is for peers.
-    assert {cell.defence for cell in study.cells.values()} == shipped - {"Hearsay"}
+    assert {cell["defence"] for cell in study.factors.values()} == shipped - {"Hearsay"}
 
 
 @pytest.mark.parametrize(
@@ -226,19 +262,43 @@ def test_a_defence_with_parameters_is_built_with_them() -> None:
     assert "defence={'type': 'KOfN', 'k': 3}" in study.configurations[2].settings
 
 
-@pytest.mark.parametrize("cell", CELLS, ids=lambda cell: cell.kind)
-def test_every_kind_writes_its_tables_even_of_no_trial(cell: DefenceCell, tmp_path: Path) -> None:
-    collection = collection_of(cell.kind)
-    files = collection({}, ["junction"], [0]).write(tmp_path)
+@pytest.mark.parametrize("kind", [DefenceMatrix, Drift, Breakdown, FieldMatrix, Cooperation, DrivingMatrix])
+def test_every_kind_writes_its_tables_even_of_no_trial(kind: type[Kind], tmp_path: Path) -> None:
+    files = kind({}, ["junction"], [0]).write(tmp_path)
     assert {*files.names} == {path.name for path in tmp_path.iterdir()}
     assert {Path(name).suffix for name in files.names} >= {".md", ".csv", ".tex"}
-    assert collection.without_lies is None or collection.without_lies["lies"]["all"] == 0
+    assert kind.without_lies is None or kind.without_lies["lies"]["all"] == 0
+    assert kind_of(name_of_kind(kind)) is kind
+
+
+def test_a_users_own_kind_is_one_file_that_workers_find_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(KIND)
+    study = definition.load(str(tmp_path / "mine.py"))
+    assert kind_of(study.evaluation).__name__ == "Misses"
+    first = trials.plan(study, count=1, seed=0, frames=5, runtime="inproc")
+    finished = mast.study(tmp_path / "mine.py", jobs=1, out=tmp_path / "study")
+    assert (finished.path / "misses.md").read_text().splitlines()[-1].startswith("| 2 | ")
+    assert "1,fn," in (finished.path / "misses.csv").read_text()
+    assert "Misses" in (finished.path / "report.html").read_text()
+    (tmp_path / "mine.py").write_text(KIND.replace('Misses"', 'Missed"'))
+    trial.files_key.cache_clear()  # as in a new process
+    again = trials.plan(definition.load(str(tmp_path / "mine.py")), count=1, seed=0, frames=5, runtime="inproc")
+    assert first[0].digest != again[0].digest, "a changed file is another trial"
+
+
+def test_configurations_of_a_kind_have_factors_that_differ(tmp_path: Path) -> None:
+    (tmp_path / "same.py").write_text(KIND.replace("poles=n))", "poles=1))"))
+    with pytest.raises(ConfigurationError, match=r"runs\.1 poles\.factors: the same as of '2 poles', expected others"):
+        definition.load(str(tmp_path / "same.py"))
+    (tmp_path / "none.py").write_text(KIND.replace("kind=Misses", "kind='Misses'"))
+    with pytest.raises(ConfigurationError, match="kind: found 'Misses', expected a subclass of Kind"):
+        definition.load(str(tmp_path / "none.py"))
 
 
 def test_figures_that_a_study_has_no_more_are_removed_and_those_of_others_are_kept(tmp_path: Path) -> None:
     for name in ("roc.png", "roc.pdf", "mine.png"):
         (tmp_path / name).write_bytes(b"old")
-    collection_of("matrix")({}, ["junction"], [0]).write(tmp_path)
+    DefenceMatrix({}, ["junction"], [0]).write(tmp_path)
     assert {path.name for path in tmp_path.iterdir()} & {"roc.png", "roc.pdf", "mine.png"} == {"mine.png"}
 
 

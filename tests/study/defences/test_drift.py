@@ -17,12 +17,11 @@ from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.metrics.study_results import Row
 from mast_zenoh.study import definition, trials
-from mast_zenoh.study.defences import DriftCell
 from mast_zenoh.study.defences.drift import (
     EVIDENCE,
     INDEPENDENT_PER_S,
     TRACK_SD_M,
-    Collection,
+    Drift,
     Episode,
     ViewerRange,
     drift_floor_s,
@@ -30,6 +29,7 @@ from mast_zenoh.study.defences.drift import (
     offset_floor_s,
     speed_up,
 )
+from mast_zenoh.study.defences.kinds import Factors
 
 
 def test_the_least_delay_is_that_of_enough_evidence_and_a_drift_goes_further_meanwhile() -> None:
@@ -141,7 +141,7 @@ def test_the_order_of_rows_does_not_matter(order: list[int]) -> None:
     assert sorted(shuffled, key=lambda each: each.length_s) == sorted(expected, key=lambda each: each.length_s)
 
 
-OFFSET, DRIFT = DriftCell(0.5), DriftCell(2.0, 0.1)
+OFFSET, DRIFT = Factors(offset_m=0.5, rate_mps=None, agents=5), Factors(offset_m=2.0, rate_mps=0.1, agents=5)
 
 
 def trial(suspended_s: float | None, viewers: int = 2, frames: int = 201) -> dict[str, Any]:
@@ -160,16 +160,16 @@ def trial(suspended_s: float | None, viewers: int = 2, frames: int = 201) -> dic
     }
 
 
-def collected(cell: DriftCell, *trials: dict[str, Any]) -> Collection:
-    collection = Collection({cell.label: cell}, ["junction"], range(len(trials)))
+def collected(factors: Factors, *trials: dict[str, Any]) -> Drift:
+    collection = Drift({"a": factors}, ["junction"], range(len(trials)))
     for seed, each in enumerate(trials):
-        collection.add(outcome(cell.label, "junction", seed, {"defence": each}))
+        collection.add(outcome("a", "junction", seed, {"defence": each}))
     return collection
 
 
-def rows(cell: DriftCell, *trials: dict[str, Any]) -> dict[str, Row]:
+def rows(factors: Factors, *trials: dict[str, Any]) -> dict[str, Row]:
     """The rows by number of viewers."""
-    return {row.of["viewers"]: row for row in collected(cell, *trials).table()}
+    return {row.of["viewers"]: row for row in collected(factors, *trials).table()}
 
 
 def values(row: Row, *names: str) -> list[float]:
@@ -227,7 +227,7 @@ def test_what_fewer_than_half_notice_is_not_reached() -> None:
 def test_the_liar_moves_one_object_and_hears_nothing_of_its_suspension() -> None:
     study = definition.load("drift", ["agents=(3,)"])
     assert study.configurations[0].label == "3 agents offset 0.3 m"
-    assert study.evaluation == "drift"
+    assert study.kind is Drift
     settings = [*study.configurations[0].settings, "scene=intersection:60", "placement_frames=8"]
     _, content = scenario.load("defence_cell", settings)
     (adversary,) = content["adversaries"].values()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
@@ -16,20 +16,42 @@ import mast_zenoh as mast
 from mast_zenoh.config.scene_names import parse_scene
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity.calibration import refuse_calibration_data
-from mast_zenoh.metrics.driving_results import DRIVING_MEASURES, DrivingTable
 from mast_zenoh.metrics.study_results import Estimate
 from mast_zenoh.report.compare import as_text
-from mast_zenoh.report.figures.driving_study import figure_of_driving
-from mast_zenoh.report.tables.driving_study import conclusion, driving_tables, headline
+from mast_zenoh.report.tables.text_table import ResultTables
 from mast_zenoh.study import definition
-from mast_zenoh.study.defences import DrivingCell
-from mast_zenoh.study.defences.driving_matrix import Collection
+from mast_zenoh.study.defences.driving_matrix import (
+    DRIVING_MEASURES,
+    DrivingMatrix,
+    DrivingRow,
+    conclusion,
+    driving_tables,
+    headline,
+)
+from mast_zenoh.study.defences.kinds import Factors
 
 SEEDS = 6
+SIZE = "6 seeds \u00d7 1 scene"
+
+
+def factors_of(attack: str, wire: str, defence: str) -> Factors:
+    return Factors(attack=attack, wire=wire, defence=defence, car="ego")
+
+
+def collection_of(cells: Iterable[Factors], scenes: Sequence[str], seeds: Sequence[int]) -> DrivingMatrix:
+    return DrivingMatrix({label_of(cell): cell for cell in cells}, scenes, seeds)
+
+
+def label_of(cell: Factors) -> str:
+    return "{attack} {wire} {defence}".format_map(cell)
+
+
+def tables_of(table: list[DrivingRow]) -> ResultTables:
+    return driving_tables(table, SIZE)
 
 
 def trial(
-    cell: DrivingCell,
+    cell: Factors,
     seed: int,
     collisions: int,
     needless: int,
@@ -52,10 +74,10 @@ def trial(
         "blind_frames": 0,
         **facts,
     }
-    interposers = {"adversary_1": {"role": "adversary", "effects": effects}} if cell.attack else {}
+    interposers = {"adversary_1": {"role": "adversary", "effects": effects}} if cell["attack"] else {}
     interposers["link_1"] = {"role": "link", "effects": {}}
     metrics = {"driven": {"ego": driven}, "interposers": interposers, "defence": {}}
-    return outcome(cell.label, scene, seed, metrics)
+    return outcome(label_of(cell), scene, seed, metrics)
 
 
 Facts = dict[str, int]
@@ -66,13 +88,13 @@ def table_of(
     left_out: int = 0,
     facts: dict[tuple[str, str], Facts] | None = None,
     idle: tuple[str, ...] = (),
-) -> DrivingTable:
+) -> list[DrivingRow]:
     """The table of (attack, defence) with (collisions, needless brakes, way); the last seeds are left out.
 
     facts: other numbers of the driven car, by attack and defence;  idle: attacks that change no message
     """
-    cells = {key: DrivingCell(key[0], "picture" if key[0] else "", key[1]) for key in happened}
-    collection = Collection({cell.label: cell for cell in cells.values()}, ["junction"], range(SEEDS))
+    cells = {key: factors_of(key[0], "picture" if key[0] else "", key[1]) for key in happened}
+    collection = collection_of(cells.values(), ["junction"], range(SEEDS))
     for key, cell in cells.items():
         for seed in range(SEEDS - left_out):
             collisions, needless, way_m = happened[key]
@@ -94,17 +116,17 @@ HAPPENED = {
 
 
 def test_an_attack_is_compared_with_its_twin_and_a_defence_with_none() -> None:
-    rows = {(row.attack, row.defence): row for row in table_of(HAPPENED).rows}
-    assert rows["", ""].measures["progress_m"].trial_mean == 105.0
-    assert rows["queue", ""].added["progress_m"].trial_mean == -61.0
-    assert rows["queue", "veto"].added["progress_m"].trial_mean == -2.0, "the twin has the same defence"
-    assert rows["queue", "veto"].spared["progress_m"].trial_mean == 49.0, "the same seeds and attack without a defence"
-    assert rows["", "veto"].spared["progress_m"].trial_mean == -10.0
-    added = rows["queue", ""].added["needless_brakes"]
+    rows = {(row.of["attack"], row.of["defence"]): row for row in table_of(HAPPENED)}
+    assert rows["", ""]["mean progress_m"].trial_mean == 105.0
+    assert rows["queue", ""]["added progress_m"].trial_mean == -61.0
+    assert rows["queue", "veto"]["added progress_m"].trial_mean == -2.0, "the twin has the same defence"
+    assert rows["queue", "veto"]["spared progress_m"].trial_mean == 49.0, "the same seeds and attack without a defence"
+    assert rows["", "veto"]["spared progress_m"].trial_mean == -10.0
+    added = rows["queue", ""]["added needless_brakes"]
     assert 3.0 < added.low < added.trial_mean == 4.0 < added.high < 5.0
-    assert rows["hidden", ""].added["collisions"].trial_mean == 1.0
-    assert rows["", ""].added == {}
-    assert rows["queue", ""].spared == {}
+    assert rows["hidden", ""]["added collisions"].trial_mean == 1.0
+    assert rows["", ""].of_kind("added") == {}
+    assert rows["queue", ""].of_kind("spared") == {}
 
 
 def test_the_conclusion_says_what_helps_what_does_not_and_what_was_not_run() -> None:
@@ -156,9 +178,9 @@ def test_an_adversary_that_changed_no_message_is_named_first_and_never_called_ha
     assert "What veto changes for idle on picture was not tried in every run: see above." in others
     assert headline(table) == first.removesuffix(".")
     assert not any("harm" in text or "No change" in text for text in others)
-    tables = driving_tables(table)
+    tables = tables_of(table)
     assert tables.reading[0] == first, "on the page"
-    assert tables.about.startswith(f"{table.size}. {first}"), "in driving.md"
+    assert tables.about.startswith(f"{SIZE}. {first}"), "in driving.md"
     assert tables.brief[0].about.startswith(first), "on the terminal"
 
 
@@ -193,14 +215,14 @@ def test_harm_is_named_first_although_another_attack_was_idle() -> None:
 
 def test_the_seeds_or_where_they_are_few_the_scenes_are_the_units_of_intervals() -> None:
     """Five scenes with one seed each have the interval of five seeds of one scene; two by two have none."""
-    cells = [DrivingCell("", "", ""), DrivingCell("queue", "picture", "")]
+    cells = [factors_of("", "", ""), factors_of("queue", "picture", "")]
 
     def added(scenes: list[str], seeds: int) -> Estimate:
-        collection = Collection({cell.label: cell for cell in cells}, scenes, range(seeds))
+        collection = collection_of(cells, scenes, range(seeds))
         for number, (scene, seed) in enumerate(product(scenes, range(seeds))):
             collection.add(trial(cells[0], seed, 0, 0, 100.0, scene=scene))
             collection.add(trial(cells[1], seed, 0, 1 + number, 100.0, scene=scene))
-        return collection.table().rows[1].added["needless_brakes"]
+        return collection.table()[1]["added needless_brakes"]
 
     by_seed, by_scene = added(["a"], 5), added(["a", "b", "c", "d", "e"], 1)
     assert (by_seed.low, by_seed.high) == (by_scene.low, by_scene.high)
@@ -212,14 +234,14 @@ def test_the_seeds_or_where_they_are_few_the_scenes_are_the_units_of_intervals()
 def test_differences_that_are_mostly_zero_have_a_share_and_count_only_by_their_signs() -> None:
     """A collision in five of 20 pairs is no proof of more, in six it is (exact sign test: 0.0625, 0.031)."""
     for hit, shown in ((5, False), (6, True)):
-        cells = [DrivingCell("", "", ""), DrivingCell("hidden", "picture", "")]
-        collection = Collection({cell.label: cell for cell in cells}, ["junction"], range(20))
+        cells = [factors_of("", "", ""), factors_of("hidden", "picture", "")]
+        collection = collection_of(cells, ["junction"], range(20))
         for seed in range(20):
             collection.add(trial(cells[0], seed, 0, 0, 100.0))
             collection.add(trial(cells[1], seed, int(seed < hit), 0, 100.0))
         table = collection.table()
-        assert table.rows[1].added["collisions"].differs is shown
-        assert np.isnan(table.rows[1].added["collisions"].low)
+        assert table[1]["added collisions"].differs is shown
+        assert np.isnan(table[1]["added collisions"].low)
         (text,) = conclusion(table)
         share = {5: "0.25 collisions (0 in 75 % [51, 91] of the pairs)", 6: "0.30 collisions (0 in 70 % [46, 88] of "}
         assert f"hidden on picture adds {share[hit]}" in text
@@ -227,9 +249,7 @@ def test_differences_that_are_mostly_zero_have_a_share_and_count_only_by_their_s
 
 
 def test_without_a_defence_there_is_no_table_of_what_it_changes() -> None:
-    titles = [
-        each.title for each in driving_tables(table_of({key: HAPPENED[key] for key in HAPPENED if not key[1]})).tables
-    ]
+    titles = [each.title for each in tables_of(table_of({key: HAPPENED[key] for key in HAPPENED if not key[1]})).tables]
     assert titles == ["What the car did", "What the attack adds to what the car did"]
 
 
@@ -253,19 +273,19 @@ def test_the_headline_names_the_clearest_effect_and_what_is_equal_in_all_seeds_w
 
 def test_the_headline_is_never_an_unclear_effect_beside_a_clear_one() -> None:
     """A collision in one pair of six is no proof; 61 m less in all of them are."""
-    cells = [DrivingCell("", "", ""), DrivingCell("queue", "picture", "")]
-    collection = Collection({cell.label: cell for cell in cells}, ["junction"], range(SEEDS))
+    cells = [factors_of("", "", ""), factors_of("queue", "picture", "")]
+    collection = collection_of(cells, ["junction"], range(SEEDS))
     for seed in range(SEEDS):
         collection.add(trial(cells[0], seed, 0, 0, 100.0))
         collection.add(trial(cells[1], seed, int(seed == 0), 0, 40.0 - seed))
     table = collection.table()
     assert headline(table).startswith("The attack queue on picture changes the way driven by \u221262.50 [\u2212")
-    assert table.rows[1].added["progress_m"].p < 0.05 < table.rows[1].added["collisions"].p
+    assert table[1]["added progress_m"].p < 0.05 < table[1]["added collisions"].p
 
 
 def test_a_users_metric_is_in_the_table_and_the_csv_with_its_difference_from_the_twin() -> None:
-    cells = [DrivingCell("", "", ""), DrivingCell("queue", "picture", "")]
-    collection = Collection({cell.label: cell for cell in cells}, ["junction"], range(SEEDS))
+    cells = [factors_of("", "", ""), factors_of("queue", "picture", "")]
+    collection = collection_of(cells, ["junction"], range(SEEDS))
     for attacked, cell in enumerate(cells):
         for seed in range(SEEDS):
             each = trial(cell, seed, 0, 0, 100.0)
@@ -273,36 +293,37 @@ def test_a_users_metric_is_in_the_table_and_the_csv_with_its_difference_from_the
                 "ego": {"mission": {"fn": {"mean": 1.0, "std": 0.0}, "half": 2.0 + 3.0 * attacked}}
             }
             collection.add(each)
-    tables = driving_tables(collection.table())
+    tables = tables_of(collection.table())
     (own,) = [each for each in tables.tables if each.title == "Your metrics"]
     assert own.lines[1][-2:] == ["5.00 (all equal)", "3.00 (all equal)"]
     assert "queue,picture,none,added,half,3.0," in tables.as_csv()
 
 
 def test_the_terminal_shows_every_measure() -> None:
-    (brief,) = driving_tables(table_of(HAPPENED)).brief
+    (brief,) = tables_of(table_of(HAPPENED)).brief
     assert [*brief.headings[1:]] == [measure.heading for measure in DRIVING_MEASURES.values()]
     assert max(map(len, as_text(brief.as_rich()).splitlines())) <= 80
 
 
 def test_trials_that_are_missing_are_counted_and_their_pairs_left_out() -> None:
-    rows = table_of(HAPPENED, left_out=1).rows
-    assert {(row.trials, row.missing) for row in rows} == {(SEEDS - 1, 1)}
+    table = table_of(HAPPENED, left_out=1)
+    assert {row.trials for row in table} == {SEEDS - 1}
+    assert {line.split(",")[9:11] == ["5", "0"] for line in tables_of(table).as_csv().splitlines()[1:]} == {True}
 
 
 def test_tables_and_a_figure_are_written(tmp_path: Path) -> None:
     for left_out in (0, SEEDS):
         table = table_of(HAPPENED, left_out)
-        texts = driving_tables(table).texts("driving")
+        texts = tables_of(table).texts("driving")
         assert "| queue | picture | veto | " in texts["driving.md"]
         assert "hidden,picture,none,mean,collisions," in texts["driving.csv"]
-        figure_of_driving(table).save(tmp_path)
+        collection_of([], ["junction"], range(SEEDS)).figures(table)["driving"].save(tmp_path)
         assert (tmp_path / "driving.pdf").stat().st_size > 5_000
 
 
 def test_the_shipped_study_pairs_every_attack_with_every_defence() -> None:
     study = definition.load("driving", ["attacks=cut_in@tracks,hidden_leader@detections+picture", "defences=none,veto"])
-    assert [(cell.attack, cell.wire, cell.defence) for cell in study.cells.values()] == [
+    assert [(cell["attack"], cell["wire"], cell["defence"]) for cell in study.factors.values()] == [
         (attack, wire, defence)
         for defence in ("", "veto")
         for attack, wire in (("", ""), ("cut_in", "tracks"), ("hidden_leader", "detections picture"))

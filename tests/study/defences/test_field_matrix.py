@@ -6,7 +6,6 @@ import csv
 import io
 import math
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +18,29 @@ from mast_zenoh.attacks import Attack, Coordination
 from mast_zenoh.config.registry import known_types
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
-from mast_zenoh.metrics.field_results import QUANTITIES, FieldMatrix
 from mast_zenoh.metrics.study_results import Row
-from mast_zenoh.report.tables.field_matrix import field_tables, published_tables
 from mast_zenoh.study import definition, execution, trials
-from mast_zenoh.study.defences import COORDINATED, UNCOORDINATED, FieldCell, matrix_records, scenes_of_kinds
-from mast_zenoh.study.defences.field_matrix import SCENE_KINDS, Collection, ratio, scene_title
+from mast_zenoh.study.defences import COORDINATED, UNCOORDINATED, scenes_of_kinds
+from mast_zenoh.study.defences.field_matrix import SCENE_KINDS, FieldMatrix, ratio, scene_title
+from mast_zenoh.study.defences.field_tables import (
+    QUANTITIES,
+    counts_of,
+    field_tables,
+    published_tables,
+)
+from mast_zenoh.study.defences.kinds import Factors
+from mast_zenoh.study.defences.matrix import NO_LIES, undefended
 from mast_zenoh.study.defences.published import ABSTRACT, CODE, NOTES, PAPER, PUBLISHED, TITLE
+from mast_zenoh.study.defences.scoreboard import FieldTable
 
 POLES, MANY = "intersection:8, 4, 0", "intersection:8, 8, 4"
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
 SEEDS = range(6)
-cell = partial(FieldCell, attack_start_s=0.5)
+
+
+def cell(defence: str, attack: str = "", n_adversaries: int = 0, placement: str = "") -> Factors:
+    place = dict(n_adversaries=n_adversaries, placement=placement, budget=None, attack_start_s=0.5)
+    return Factors(defence=defence, attack=attack, **place)
 
 
 @pytest.mark.parametrize(
@@ -56,7 +66,7 @@ def test_every_kind_of_scene_has_a_title_of_its_own() -> None:
 def test_several_numbers_of_adversaries_can_be_chosen_on_the_command_line() -> None:
     for setting, counts in (("counts=[1, 3]", {0, 1, 3}), ("counts=3", {0, 3}), ("trials=1", {0, 2})):
         study = definition.load("matrix", [setting])
-        assert {each.n_adversaries for each in study.cells.values()} == counts  # type: ignore[attr-defined]
+        assert {each["n_adversaries"] for each in study.factors.values()} == counts
     with pytest.raises(ConfigurationError, match=r"counts: found 'many', expected whole numbers, .*\[1, 2\]"):
         definition.load("matrix", ["counts=many"])
 
@@ -70,9 +80,9 @@ def test_an_attack_that_begins_after_the_end_is_refused_before_anything_runs() -
 @pytest.mark.parametrize("preset", ["quick", "scoreboard", "full"])
 def test_a_preset_plays_every_defence_against_every_attack_in_every_kind(preset: str) -> None:
     study = definition.load("matrix", [f"preset={preset}"])
-    defences, attacks = ({getattr(each, name) for each in study.cells.values()} for name in ("defence", "attack"))
-    assert len(study.cells) == len(defences) * len(attacks)
-    assert {each.kind for each in study.cells.values()} == {"field_matrix"}
+    defences, attacks = ({each[name] for each in study.factors.values()} for name in ("defence", "attack"))
+    assert len(study.factors) == len(defences) * len(attacks)
+    assert study.kind is FieldMatrix
     assert {scene_title(scene.label) for scene in study.scenes} <= {"4 poles", "4 cars", "8 poles, 4 cars"}
 
 
@@ -82,7 +92,7 @@ def test_a_scoreboard_has_ten_seeds_of_every_defence_and_its_folder_can_be_conti
     played, every = ({(each.label, *each.settings) for each in study.configurations} for study in (board, full))
     assert played < every
     assert {scene.label for scene in board.scenes} < {scene.label for scene in full.scenes}
-    defences = ({each.defence for each in study.cells.values()} for study in (board, full))  # type: ignore[attr-defined]
+    defences = ({each["defence"] for each in study.factors.values()} for study in (board, full))
     assert next(defences) == next(defences)
 
 
@@ -138,7 +148,7 @@ def trial(
             "false_alarms": len(times.keys() - {*compromised}),
         },
         "defence": {
-            **(matrix_records.NO_LIES | {"frames_s": [0.1 * frame for frame in range(10)] if liars else []}),
+            **(NO_LIES | {"frames_s": [0.1 * frame for frame in range(10)] if liars else []}),
             "first_attack_s": 0.5 if liars and not silent else None,
             "lies": {"all": 4 * liars, "observable": 4 * liars, "detected": detected},
             "agents": lying,
@@ -156,16 +166,16 @@ def trial(
     return dict(metrics=metrics, per_frame=per_frame, cpu_s=cpu_s)
 
 
-def collected(played: dict[FieldCell, Any], scenes: tuple[str, ...] = (POLES,), seeds: range = SEEDS) -> FieldMatrix:
+def collected(played: dict[Factors, Any], scenes: tuple[str, ...] = (POLES,), seeds: range = SEEDS) -> FieldTable:
     """The matrix of trials; played: of each cell, a function of the scene and the seed that returns a `trial`."""
-    collection = Collection({each.label: each for each in played}, scenes, list(seeds))
+    collection = FieldMatrix({str(each): each for each in played}, scenes, list(seeds))
     for each, content in played.items():
         for scene in scenes:
             for seed in seeds:
                 parts = content(scene, seed)
-                single = outcome(each.label, scene, seed, parts["metrics"], parts["per_frame"])
+                single = outcome(str(each), scene, seed, parts["metrics"], parts["per_frame"])
                 collection.add(replace(single, cpu_s=parts["cpu_s"]))
-    result: FieldMatrix = collection.table()
+    result: FieldTable = collection.table()
     return result
 
 
@@ -173,11 +183,15 @@ def always(**how: Any) -> Any:
     return lambda scene, seed: trial(**how)
 
 
-def ghosts(defence: str, liars: int = 2, attack: str = "Ghost") -> FieldCell:
+def ghosts(defence: str, liars: int = 2, attack: str = "Ghost") -> Factors:
     return cell(defence, attack, liars, "random")
 
 
-def by_cell(table: FieldMatrix, defence: str, attack: str = "Ghost", liars: int = 2, scene: str = "") -> Row:
+def broken_of(breakdown: Row) -> list[float]:
+    return [breakdown[f"broken {count}"].value for count in counts_of(breakdown)]
+
+
+def by_cell(table: FieldTable, defence: str, attack: str = "Ghost", liars: int = 2, scene: str = "") -> Row:
     return table.row(scene, defence, attack, liars if attack else 0, "random" if attack else "")
 
 
@@ -237,12 +251,13 @@ def test_a_defence_breaks_where_half_of_the_runs_are_worse_than_the_ego_alone_or
         ghosts("Cad", 3): always(fp=9.0, liars=3),
     }
     table = collected(played)
-    undefended, defended = (each for each in table.breakdowns if not each.scene)
-    assert [each.value for each in undefended.broken.values()] == [0.0, 0.0, 1.0, 1.0], "3.5 false objects, against 3"
-    assert undefended.point.value == pytest.approx(1.5)
-    assert [each.value for each in defended.broken.values()] == [0.0, 0.0, 0.5, 1.0]
-    assert (defended.point.value, defended.weakest, defended.most) == (2.0, "Ghost", 3)
-    assert 1.5 <= defended.point.low < 2.0 <= defended.point.high < 3.0
+    open_, defended = (each for each in table.breakdowns if not each.of["scene"])
+    assert broken_of(open_) == [0.0, 0.0, 1.0, 1.0], "3.5 false objects, against 3"
+    assert open_["breaks_at"].value == pytest.approx(1.5)
+    assert broken_of(defended) == [0.0, 0.0, 0.5, 1.0]
+    point = defended["breaks_at"]
+    assert (point.value, defended.of["weakest"], max(counts_of(defended))) == (2.0, "Ghost", 3)
+    assert 1.5 <= point.low < 2.0 <= point.high < 3.0
     line = next(each for each in field_tables(table).tables if each.title == "Breakdown").lines[1]
     assert line[:3] == ["NoIntegrity", "4 poles", "5"]
     assert line[-2].startswith("30"), "1.5 of five agents"
@@ -253,18 +268,18 @@ def test_a_suspension_that_happens_without_an_attack_too_does_not_break_a_defenc
     attacked = {ghosts("NoIntegrity"): always(fp=1.0, liars=2), ghosts("Cad"): always(fp=1.0, liars=2, suspended=alarm)}
     quiet = collected(NOTHING | attacked)
     noisy = collected(NOTHING | {cell("Cad"): always(fp=0.5, suspended=alarm)} | attacked)
-    assert quiet.breakdowns[2].broken[2].value == 1.0
-    assert noisy.breakdowns[2].broken[2].value == 0.0
-    assert noisy.breakdowns[2].point.value == math.inf
+    assert quiet.breakdowns[2]["broken 2"].value == 1.0
+    assert noisy.breakdowns[2]["broken 2"].value == 0.0
+    assert noisy.breakdowns[2]["breaks_at"].value == math.inf
     assert "> 2" in field_tables(noisy).as_markdown().splitlines()[-1]
 
 
 def test_a_defence_is_weakest_against_the_attack_that_breaks_it_with_the_fewest() -> None:
     strong, weak = (ghosts("Cad", liars, "Strong") for liars in (1, 2)), ghosts("Cad", 2, "Weak")
     played = NOTHING | dict.fromkeys(strong, always(fp=9.0, liars=2)) | {weak: always(fp=1.0, liars=2)}
-    played |= {each.undefended: always(fp=1.0, liars=2) for each in list(played) if each.attack}  # type: ignore[misc]
-    (of_cad,) = (each for each in collected(played).breakdowns if (each.scene, each.defence) == ("", "Cad"))
-    assert (of_cad.weakest, of_cad.weakest_at) == ("Strong", pytest.approx(0.5))
+    played |= {undefended(each): always(fp=1.0, liars=2) for each in list(played) if each["attack"]}
+    (of_cad,) = (each for each in collected(played).breakdowns if (each.of["scene"], each.of["defence"]) == ("", "Cad"))
+    assert (of_cad.of["weakest"], of_cad["weakest_at"].value) == ("Strong", pytest.approx(0.5))
 
 
 def test_an_honest_agent_that_is_suspended_counts_even_if_nobody_ever_lies() -> None:
@@ -289,14 +304,14 @@ def test_a_single_number_of_adversaries_is_a_bound_without_interpolation() -> No
         ghosts("NoIntegrity", attack="Strong"): always(fp=1.0, liars=2),
     }
     table = collected(played)
-    (of_cad,) = (each for each in table.breakdowns if (each.scene, each.defence) == ("", "Cad"))
-    assert (of_cad.point.value, of_cad.point.interval, of_cad.only) == (2.0, "", 2)
-    assert (of_cad.weakest, of_cad.weakest_at) == ("Strong", 2.0), "it breaks more of the runs"
+    (of_cad,) = (each for each in table.breakdowns if (each.of["scene"], each.of["defence"]) == ("", "Cad"))
+    assert (of_cad["breaks_at"].value, of_cad["breaks_at"].interval, counts_of(of_cad)) == (2.0, "", [0, 2])
+    assert (of_cad.of["weakest"], of_cad["weakest_at"].value) == ("Strong", 2.0), "it breaks more of the runs"
     summary = field_tables(table).tables[-1]
     line = dict(zip(summary.headings, summary.lines[0], strict=True))
     assert line["breaks at (adversaries)"] == "\u2264 2"
     assert line["weakest against"] == "Strong (\u2264 2)"
-    holding = played | {weak: always(fp=1.0, liars=2), weak.undefended: always(fp=1.0, liars=2)}
+    holding = played | {weak: always(fp=1.0, liars=2), undefended(weak): always(fp=1.0, liars=2)}
     holding[ghosts("Cad", attack="Other")] = holding[ghosts("NoIntegrity", attack="Other")] = always(fp=1.0, liars=2)
     summary = field_tables(collected(holding)).tables[-1]  # type: ignore[arg-type]
     line = dict(zip(summary.headings, summary.lines[0], strict=True))
@@ -307,9 +322,9 @@ def test_a_single_number_of_adversaries_is_a_bound_without_interpolation() -> No
 def test_equal_seeds_have_a_breakdown_without_an_interval() -> None:
     played = NOTHING | {ghosts("Cad", liars): always(fp=9.0 * (liars == 2), liars=liars) for liars in (1, 2)}
     played |= {ghosts("NoIntegrity", liars): always(fp=1.0, liars=liars) for liars in (1, 2)}
-    (of_cad,) = (each for each in collected(played).breakdowns if (each.scene, each.defence) == ("", "Cad"))
-    assert of_cad.point.value == 1.5
-    assert math.isnan(of_cad.point.low)
+    (of_cad,) = (each for each in collected(played).breakdowns if (each.of["scene"], each.of["defence"]) == ("", "Cad"))
+    assert of_cad["breaks_at"].value == 1.5
+    assert math.isnan(of_cad["breaks_at"].low)
 
 
 # -- published figures -------------------------------------------------------------------------------------------------
@@ -336,7 +351,7 @@ def test_a_figure_from_an_abstract_or_notes_says_that_it_was_not_checked() -> No
     }
 
 
-def published(detected: int) -> FieldMatrix:
+def published(detected: int) -> FieldTable:
     attacks = {
         ghosts("NoIntegrity"): always(fp=4.0, liars=2),
         ghosts("Cad"): always(fp=1.0, liars=2, detected=detected),
@@ -382,8 +397,8 @@ def test_a_stage_that_suspends_nobody_has_no_share_of_moved_objects_detected(
         ghosts("NoIntegrity", attack="PosePert"): always(fp=0.0, liars=2),
         ghosts("Cad", attack="PosePert"): always(fp=0.0, liars=2, suspended=suspended),
     }
-    (found,) = (each for each in collected(played).published if each.method == "PosePert")
-    assert [ours.value.known for ours in found.ours] == [known]
+    (found,) = (ours for each, ours in collected(played).published if each.method == "PosePert")
+    assert [ours.value.known for ours in found] == [known]
 
 
 def test_a_study_of_methods_without_published_figures_says_so() -> None:
@@ -413,13 +428,13 @@ def test_every_published_quantity_is_computed_from_trials_of_its_method() -> Non
             played[ghosts(name, attack=attack)] = always(fp=2.0, liars=2, suspended=suspended, detected=4)
     table = collected(played, seeds=range(2))
     assert len(table.published) == len(PUBLISHED)
-    for each in table.published:
-        assert each.ours, each.method
-        for ours in each.ours:
+    for each, numbers in table.published:
+        assert numbers, each.method
+        for ours in numbers:
             assert ours.value.known, (each.method, ours.quantity)
-    (flip,) = (each for each in table.published if each.method == "TrustFlip")
-    assert {ours.defence for ours in flip.ours} == set(defences) - {"NoIntegrity"}
-    assert {ours.value.value for ours in flip.ours} == {0.5}, "one of two"
+    (flip,) = (ours for each, ours in table.published if each.method == "TrustFlip")
+    assert {ours.defence for ours in flip} == set(defences) - {"NoIntegrity"}
+    assert {ours.value.value for ours in flip} == {0.5}, "one of two"
 
 
 # -- whole studies -----------------------------------------------------------------------------------------------------
@@ -440,7 +455,7 @@ def test_processor_time_is_that_of_the_run_without_scene_and_evaluation(monkeypa
 
     monkeypatch.setattr(execution.time, "process_time", lambda: now_s[0])
     monkeypatch.setattr(execution, "_resolve", costly(execution._resolve))
-    monkeypatch.setattr(Collection, "evaluate", staticmethod(costly(Collection.evaluate)))
+    monkeypatch.setattr(FieldMatrix, "evaluate", staticmethod(costly(FieldMatrix.evaluate)))
     for each in planned:
         finished = execution.run(each)
         assert finished.error == ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,11 @@ from defence_outcomes import outcome
 from numpy.typing import NDArray
 
 import mast_zenoh as mast
-from mast_zenoh.metrics.study_results import BINOMIAL, POISSON, DefenceMatrix, Measured, Row
-from mast_zenoh.study.defences import Cell
+from mast_zenoh.metrics.study_results import BINOMIAL, POISSON, Measured, Row
 from mast_zenoh.study.defences.choices import by_coverage, honest_majority
-from mast_zenoh.study.defences.matrix import MAX_AGENTS, Collection, doubts, panel
+from mast_zenoh.study.defences.kinds import Factors
+from mast_zenoh.study.defences.matrix import MAX_AGENTS, DefenceMatrix, doubts, is_fault, panel, undefended
+from mast_zenoh.study.defences.matrix_tables import MatrixTable
 from mast_zenoh.study.defences.matrix_trial import detected_lies, outnumbered, trace
 
 #: Lidar returns of five objects at four agents.
@@ -138,10 +140,26 @@ def test_only_observable_lies_can_be_outnumbered() -> None:
 
 
 SEEDS = range(5)
+
+
+def cell(
+    defence: str, attack: str = "", n_adversaries: int = 0, placement: str = "", budget: float | None = None
+) -> Factors:
+    return Factors(defence=defence, attack=attack, n_adversaries=n_adversaries, placement=placement, budget=budget)
+
+
+def label_of(factors: Factors) -> str:
+    return " ".join(map(str, factors.values()))
+
+
+def collection_of(cells: Iterable[Factors], seeds: Sequence[int]) -> DefenceMatrix:
+    return DefenceMatrix({label_of(each): each for each in cells}, ["junction"], seeds)
+
+
 CELLS = (
-    Cell("NoIntegrity"),
-    Cell("Wall"),
-    *(Cell(defence, "Ghost", 1, "worst", budget) for defence in ("NoIntegrity", "Wall") for budget in (1.0, 4.0)),
+    cell("NoIntegrity"),
+    cell("Wall"),
+    *(cell(defence, "Ghost", 1, "worst", budget) for defence in ("NoIntegrity", "Wall") for budget in (1.0, 4.0)),
 )
 
 
@@ -203,36 +221,36 @@ def metrics(
 
 
 @pytest.fixture
-def matrix() -> DefenceMatrix:
-    collection = Collection({cell.label: cell for cell in CELLS}, ["junction"], list(SEEDS))
+def matrix() -> MatrixTable:
+    collection = collection_of(CELLS, list(SEEDS))
     for seed in SEEDS:
         noise = 0.1 * seed
         trials = {
-            Cell("NoIntegrity"): metrics(noise),
-            Cell("Wall"): metrics(noise + 0.5, trusted=True, alarms=seed == 0),
-            Cell("NoIntegrity", "Ghost", 1, "worst", 1.0): metrics(noise + 2.0, lied=True),
-            Cell("NoIntegrity", "Ghost", 1, "worst", 4.0): metrics(noise + 4.0 + noise, lied=True),
-            Cell("Wall", "Ghost", 1, "worst", 1.0): metrics(noise + 1.0 + noise, trusted=True, lied=True),
-            Cell("Wall", "Ghost", 1, "worst", 4.0): metrics(noise, trusted=True, lied=True, suspended_after_s=1.0),
+            cell("NoIntegrity"): metrics(noise),
+            cell("Wall"): metrics(noise + 0.5, trusted=True, alarms=seed == 0),
+            cell("NoIntegrity", "Ghost", 1, "worst", 1.0): metrics(noise + 2.0, lied=True),
+            cell("NoIntegrity", "Ghost", 1, "worst", 4.0): metrics(noise + 4.0 + noise, lied=True),
+            cell("Wall", "Ghost", 1, "worst", 1.0): metrics(noise + 1.0 + noise, trusted=True, lied=True),
+            cell("Wall", "Ghost", 1, "worst", 4.0): metrics(noise, trusted=True, lied=True, suspended_after_s=1.0),
         }
-        for cell, content in trials.items():
-            collection.add(outcome(cell.label, "junction", seed, content))
+        for each, content in trials.items():
+            collection.add(outcome(label_of(each), "junction", seed, content))
     return collection.table()
 
 
-def measure(matrix: DefenceMatrix, defence: str, name: str, attack: str = "Ghost", count: int = 1) -> Measured:
+def measure(matrix: MatrixTable, defence: str, name: str, attack: str = "Ghost", count: int = 1) -> Measured:
     row = matrix.row(defence, attack, count, "worst")
     assert row is not None
     return row.numbers[name]
 
 
-def test_damage_is_relative_to_no_attack_and_no_defence_with_the_same_seed(matrix: DefenceMatrix) -> None:
+def test_damage_is_relative_to_no_attack_and_no_defence_with_the_same_seed(matrix: MatrixTable) -> None:
     damage = measure(matrix, "NoIntegrity", "damage")
     assert damage.value == pytest.approx(4.2)
     assert 4.0 <= damage.low < 4.2 < damage.high <= 4.4, "paired, so that the seeds' own noise cancels"
 
 
-def test_each_cell_has_the_budget_that_does_the_most_damage(matrix: DefenceMatrix) -> None:
+def test_each_cell_has_the_budget_that_does_the_most_damage(matrix: MatrixTable) -> None:
     undefended, defended = (matrix.row(name, "Ghost", 1, "worst") for name in ("NoIntegrity", "Wall"))
     assert undefended is not None
     assert defended is not None
@@ -241,21 +259,21 @@ def test_each_cell_has_the_budget_that_does_the_most_damage(matrix: DefenceMatri
     assert defended.numbers["fp_vs_undefended"].value == pytest.approx(1.2 - 2.0)
 
 
-def test_the_cost_is_the_damage_without_an_attack(matrix: DefenceMatrix) -> None:
+def test_the_cost_is_the_damage_without_an_attack(matrix: MatrixTable) -> None:
     assert matrix.row("Wall", "Ghost", 0, "worst").of["attack"] == ""  # type: ignore[union-attr]
     assert measure(matrix, "Wall", "fp_added", count=0).value == pytest.approx(0.5)
     assert measure(matrix, "Wall", "faulty_suspended_per_hour", count=0).value == pytest.approx(200.0)
     assert math.isnan(measure(matrix, "Wall", "lies_detected", count=0).value), "none is observable"
 
 
-def test_rates_have_the_exact_interval_of_a_poisson_count(matrix: DefenceMatrix) -> None:
+def test_rates_have_the_exact_interval_of_a_poisson_count(matrix: MatrixTable) -> None:
     alarms = measure(matrix, "Wall", "honest_suspended_per_hour", count=0)
     assert (alarms.value, alarms.interval, alarms.trials) == (pytest.approx(100.0 / 5), POISSON, 5)
     # One event in 0.05 h: 0.0253 to 5.572 events.
     assert (alarms.low, alarms.high) == (pytest.approx(0.0253 / 0.05, rel=1e-3), pytest.approx(5.572 / 0.05, rel=1e-3))
 
 
-def test_delays_characteristics_and_time_in_each_state_are_over_all_trials_of_a_defence(matrix: DefenceMatrix) -> None:
+def test_delays_characteristics_and_time_in_each_state_are_over_all_trials_of_a_defence(matrix: MatrixTable) -> None:
     assert set(matrix.delays) == {"Wall"}, "without trust nobody is watched"
     delay = matrix.delays["Wall"]
     assert (delay.detections, delay.watched, delay.median_s) == (5, 10, 1.0)
@@ -269,15 +287,15 @@ def test_delays_characteristics_and_time_in_each_state_are_over_all_trials_of_a_
 
 
 def test_a_failed_trial_is_left_out() -> None:
-    collection = Collection({cell.label: cell for cell in CELLS[:2]}, ["junction"], [0, 1])
-    collection.add(outcome(CELLS[0].label, "junction", 0, metrics(1.0)))
-    collection.add(outcome(CELLS[1].label, "junction", 0, metrics(2.0, trusted=True)))
-    collection.add(outcome(CELLS[1].label, "junction", 1, metrics(9.0, trusted=True)))
+    collection = collection_of(CELLS[:2], [0, 1])
+    collection.add(outcome(label_of(CELLS[0]), "junction", 0, metrics(1.0)))
+    collection.add(outcome(label_of(CELLS[1]), "junction", 0, metrics(2.0, trusted=True)))
+    collection.add(outcome(label_of(CELLS[1]), "junction", 1, metrics(9.0, trusted=True)))
     added = collection.table().rows[1].numbers["fp_added"]
     assert (added.value, added.trials, added.left_out) == (1.0, 1, 1)
 
 
-def test_the_share_removed_is_relative_to_the_undefended_run_with_the_same_seed(matrix: DefenceMatrix) -> None:
+def test_the_share_removed_is_relative_to_the_undefended_run_with_the_same_seed(matrix: MatrixTable) -> None:
     removed = measure(matrix, "Wall", "identifiable_removed")
     # 1.4 a frame remain of 2.2, over all seeds together
     assert removed.value == pytest.approx(1.0 - (1.2 + 0.2) / (2.0 + 0.2))
@@ -285,16 +303,15 @@ def test_the_share_removed_is_relative_to_the_undefended_run_with_the_same_seed(
     assert math.isnan(measure(matrix, "NoIntegrity", "identifiable_removed").value)
 
 
-def played(*contents: dict[str, Any], cell: Cell = CELLS[-1]) -> DefenceMatrix:
+def played(*contents: dict[str, Any], attacked: Factors = CELLS[-1]) -> MatrixTable:
     """A matrix of one attacked cell of `Wall`, a seed for each metrics.json, and the runs that it is compared with."""
-    undefended = cell.undefended
-    cells = {each.label: each for each in (Cell("NoIntegrity"), Cell("Wall"), undefended, cell)}
-    collection = Collection(cells, ["junction"], range(len(contents)))
+    cells = (cell("NoIntegrity"), cell("Wall"), undefended(attacked), attacked)
+    collection = collection_of(cells, range(len(contents)))
     for seed, content in enumerate(contents):
-        for each in cells.values():
-            trusted = each.defence == "Wall"
-            other = metrics(3.0 if each.attack else 1.0, trusted=trusted, lied=bool(each.attack) and not cell.is_fault)
-            collection.add(outcome(each.label, "junction", seed, content if each == cell else other))
+        for each in cells:
+            trusted, lied = each["defence"] == "Wall", bool(each["attack"]) and not is_fault(attacked)
+            other = metrics(3.0 if each["attack"] else 1.0, trusted=trusted, lied=lied)
+            collection.add(outcome(label_of(each), "junction", seed, content if each == attacked else other))
     return collection.table()
 
 
@@ -320,7 +337,7 @@ def test_framing_by_a_local_majority_is_counted_apart() -> None:
 
 def test_a_run_with_faults_alone_that_suspends_an_agent_is_wrong_and_not_framing() -> None:
     suspended, kept = (metrics(1.0, trusted=True, honest_suspended_s=at_s) for at_s in (5.0, None))
-    matrix = played(suspended, kept, cell=Cell("Wall", "fault:pose", 1, "random"))
+    matrix = played(suspended, kept, attacked=cell("Wall", "fault:pose", 1, "random"))
     row = next(row for row in matrix.rows if row.of["defence"] == "Wall" and row.of["attack"])
     assert (row.numbers["wrongly_suspended"].value, row.numbers["wrongly_suspended"].trials) == (0.5, 2)
     assert math.isnan(row.numbers["framed"].value)
@@ -329,7 +346,7 @@ def test_a_run_with_faults_alone_that_suspends_an_agent_is_wrong_and_not_framing
     assert math.isnan(summary.numbers["lies_detected"].value)
 
 
-def test_the_summary_has_the_alarms_of_unattacked_runs_and_their_frames(matrix: DefenceMatrix) -> None:
+def test_the_summary_has_the_alarms_of_unattacked_runs_and_their_frames(matrix: MatrixTable) -> None:
     (summary,) = matrix.summaries
     assert summary.of == {"defence": "Wall"}
     assert summary.numbers["alarms_per_hour"] == measure(matrix, "Wall", "honest_suspended_per_hour", count=0)
@@ -339,12 +356,12 @@ def test_the_summary_has_the_alarms_of_unattacked_runs_and_their_frames(matrix: 
 
 
 def test_the_runs_of_one_scene_and_seed_are_one_trial_of_a_defence() -> None:
-    cells = [Cell("NoIntegrity"), *(Cell("Wall", attack, 1, "worst") for attack in ("a", "b", "c"))]
-    collection = Collection({cell.label: cell for cell in cells}, ["junction"], SEEDS)
+    cells = [cell("NoIntegrity"), *(cell("Wall", attack, 1, "worst") for attack in ("a", "b", "c"))]
+    collection = collection_of(cells, SEEDS)
     for seed in SEEDS:
-        for cell in cells:
-            content = metrics(1.0, trusted=cell.defence == "Wall", lied=bool(cell.attack))
-            collection.add(outcome(cell.label, "junction", seed, content))
+        for each in cells:
+            content = metrics(1.0, trusted=each["defence"] == "Wall", lied=bool(each["attack"]))
+            collection.add(outcome(label_of(each), "junction", seed, content))
     (summary,) = collection.table().summaries
     framed = summary.numbers["framed_by_minority"]
     assert (framed.value, framed.trials) == (0.0, 15)
@@ -360,7 +377,7 @@ def test_an_unknown_median_delay_has_at_most_a_lower_bound() -> None:
     assert (known.value, known.low) == (1.0, 1.0)
 
 
-def row_of(matrix: DefenceMatrix) -> Row:
+def row_of(matrix: MatrixTable) -> Row:
     """The row of `Wall` under attack."""
     return next(row for row in matrix.rows if row.of["defence"] == "Wall" and row.of["attack"])
 
@@ -405,11 +422,11 @@ def test_a_defence_that_suspends_nobody_has_no_delay_and_no_curve() -> None:
     suspending = played(watched)
     assert list(suspending.delays) == ["Wall"]
     assert suspending.not_suspending == []
-    collection = Collection({cell.label: cell for cell in CELLS[:2] + CELLS[-1:]}, ["junction"], [0])
-    for cell in (CELLS[1], CELLS[-1]):
-        content = metrics(1.0, trusted=True, lied=bool(cell.attack))
+    collection = collection_of(CELLS[:2] + CELLS[-1:], [0])
+    for each in (CELLS[1], CELLS[-1]):
+        content = metrics(1.0, trusted=True, lied=bool(each["attack"]))
         content["integrity"]["seconds"] = {"honest": {"trusted": 40.0, "suspended": 0.0}}
-        collection.add(outcome(cell.label, "junction", 0, content))
+        collection.add(outcome(label_of(each), "junction", 0, content))
     matrix = collection.table()
     assert (matrix.delays, matrix.not_suspending) == ({}, ["Wall"])
     measured = row_of(matrix).numbers["median_delay_s"]

@@ -10,9 +10,8 @@ from typing import Any
 import pytest
 from test_field_matrix import MANY, POLES, cell, collected, ghosts, trial
 
-from mast_zenoh.metrics.field_results import FieldMatrix
-from mast_zenoh.report.tables.field_matrix import field_tables
-from mast_zenoh.report.tables.scoreboard import Scoreboard, scoreboard_tables
+from mast_zenoh.study.defences.field_tables import field_tables
+from mast_zenoh.study.defences.scoreboard import FieldTable, Scoreboard, scoreboard_tables
 
 SCENES = (POLES, MANY)
 #: Errors of each seed around the mean.
@@ -21,7 +20,7 @@ NOISE = (-0.3, 0.1, 0.3, -0.1, 0.2, -0.2)
 
 def table_of(
     errors: Mapping[str, Mapping[str, tuple[float, float]]], silent: tuple[str, str] = ("", ""), seeds: int = 6
-) -> FieldMatrix:
+) -> FieldTable:
     """A matrix; errors: false objects by defence and attack ("": none), in the scene with poles and in that with all.
 
     silent: defence and attack in which the adversaries never lie

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
-from mast_zenoh.metrics.field_results import FieldMatrix
 from mast_zenoh.metrics.significance import holm
 from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, Measured, Row, plural
 from mast_zenoh.report.narrative.changes import join_names
 from mast_zenoh.report.tables.text_table import BOUNDS, ResultTables, TextTable, bounds, digits, measured
+from mast_zenoh.study.defences.matrix_tables import MatrixTable
+from mast_zenoh.study.defences.published import Published, PublishedNumber
 
 TITLE = "Scoreboard"
 _HEADINGS = (
@@ -22,6 +24,43 @@ _NAMES = ("defence", "attack", "n_adversaries", "placement", "scene")
 _CSV = (*_NAMES, "measure", *BOUNDS, "p_holm", "worst")
 #: What is read together of every cell.
 _READ = ("damage", "by_attack", "harm")
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FieldTable:
+    """The matrix, with what only `mast study matrix` has.
+
+    scenes: titles of the kinds of scene, in order
+    rows:   the cells of the matrix, in one kind of scene or in all (`scene` is its title, or "" for all together):
+            damage:   missed and false objects added per frame, compared with no attack and no defence
+            by_attack: compared with the same defence without an attack
+            harm:     compared with no defence under this attack
+            attacked: share of the runs in which the adversaries lied; unknown without any
+            honest_suspended: share of the runs that suspend an agent while it is honest, whether anybody lied or not
+            cpu_ms:   of a run, per frame
+            cpu_ratio: geometric mean of the ratios to the undefended runs of one scene and seed
+    breakdowns: with how many adversaries a defence breaks, see `FieldMatrix._breakdown`
+    summaries: what a defence is worth, besides the summaries of the matrix:
+            harm_removed: share of what all attacks add to the same picture without them that the defence takes away, in
+                      runs in which they took place; negative: they add more with it
+            cpu_ratio_alone, cpu_ratio_attacked: relative to no defence
+    published: the figures of methods that were played, with ours
+    """
+
+    matrix: MatrixTable
+    scenes: Sequence[str]
+    rows: Sequence[Row]
+    breakdowns: Sequence[Row]
+    summaries: Sequence[Row]
+    published: Sequence[tuple[Published, Sequence[PublishedNumber]]]
+
+    def row(self, scene: str, defence: str, attack: str, n_adversaries: int, placement: str) -> Row:
+        """The row of a cell; raises KeyError if there is none."""
+        key = (scene, defence, attack, n_adversaries, placement)
+        for row in self.rows:
+            if tuple(row.of.values()) == key:
+                return row
+        raise KeyError(key)
 
 
 class Score(NamedTuple):
@@ -53,7 +92,7 @@ class Scoreboard:
     adjusted: p-values by measure and cell, adjusted as one family, because a score is the greatest of many
     """
 
-    def __init__(self, table: FieldMatrix) -> None:
+    def __init__(self, table: FieldTable) -> None:
         defences = {each.of["defence"] for each in table.summaries}  # without that of no defence
         shown = [row for row in table.rows if defences and row.of["scene"] and row["damage"].known]
         played = [row for row in shown if row["attacked"].known or not row.of["attack"]]
@@ -157,7 +196,7 @@ def _case(row: Row) -> str:
     return text.format_map(row.of)
 
 
-def scoreboard_tables(table: FieldMatrix) -> ResultTables:
+def scoreboard_tables(table: FieldTable) -> ResultTables:
     """The scoreboard as a page of its own; its CSV has all numbers that are read together."""
     board = Scoreboard(table)
     worst = [score.worst for score in board.scores]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from mast_zenoh.metrics.significance import clearest
-from mast_zenoh.metrics.study_results import DEFENCE_MEASURES, MIN_SEEDS, DefenceMatrix, Measured, Row, plural
+from mast_zenoh.metrics.study_results import MIN_SEEDS, Measured, Row, Survival, TrustPanel, plural
+from mast_zenoh.metrics.trust import Roc
 from mast_zenoh.report.tables.text_table import (
     DASH,
     FEW_TRIALS,
@@ -21,6 +23,93 @@ from mast_zenoh.report.tables.text_table import (
     table_of_rows,
     whole,
 )
+
+#: Measures of a cell, and their headings. Objects are counted per frame in the ego's picture.
+DEFENCE_MEASURES = {
+    "damage": "missed and false objects added",
+    "fn_added": "FN added",
+    "fp_added": "FP added",
+    "ospa_added_m": "OSPA added (m)",
+    "fn_vs_undefended": "FN, minus undefended",
+    "fp_vs_undefended": "FP, minus undefended",
+    "ospa_vs_undefended_m": "OSPA, minus undefended (m)",
+    "fp_identifiable": "false objects inserted, identifiable",
+    "fp_unidentifiable": "false objects inserted, not identifiable",
+    "attacked": "runs with a lie (share)",
+    "identifiable_removed": "identifiable false objects removed (share)",
+    "lies_detected": "observable lies detected (share)",
+    "median_delay_s": "median delay (s)",
+    "honest_suspended_per_hour": "honest agents suspended per hour",
+    "faulty_suspended_per_hour": "faulty agents suspended per hour",
+    "wrongly_suspended": "runs without lies that suspend an agent (share)",
+    "framed": "runs with a lie in which an honest agent is framed (share)",
+    "framed_by_minority": "framed, liars below the local majority (share)",
+    "framed_by_majority": "framed, liars in the local majority (share)",
+    "honest_majority": "objects with an honest majority (share)",
+    "liars_watched": "liars with an observable lie",
+    "liars_suspended": "of these suspended",
+    "suspended_before": "suspended before",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DefenceRoc:
+    """How well one defence's suspicion tells liars from honest agents, one score for each agent-run.
+
+    partial_auc: mean share of liars detected below one false alarm per hour; unknown for less than an hour
+    hours: of all runs together
+    """
+
+    defence: str
+    roc: Roc
+    auc: Measured
+    partial_auc: Measured
+    hours: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class MatrixTable:
+    """The cells of a study, and a characteristic and a summary for each defence that judges agents.
+
+    rows: a defence against one adversary, with its most harmful budget: the numbers of DEFENCE_MEASURES (damage is
+           relative to no defence and no attack, with the same scene and seed), and s by conduct and state of trust
+           (`seconds faulty suspended`), over all agents and trials. They are of: attack, "" without one; budget: lies
+           per second of each adversary, None: the attack's own; budgets: number of budgets that were tried
+    own:   of the same cells, the user's metrics of the ego's picture, and how much they differ from no defence and no
+           attack
+    summaries: what a defence is worth, over all rows: shares of DEFENCE_MEASURES over all runs under attack;
+           alarms_per_hour: suspensions of honest agents in runs without an attack, of `frames` frames together;
+           fn_added, fp_added: objects per frame without an attack; faults_suspended: share of the runs with faults
+           alone that suspend an agent
+    state_shares: by defence, conduct and state of trust, the share of the time with this conduct, over all cells
+    panels: the trust of single trials;  unshown: number of pairs of a defence and an adversary without a panel
+    not_suspending: defences that judge agents and suspended nobody in any run; they have no delays
+    """
+
+    rows: Sequence[Row]
+    rocs: Sequence[DefenceRoc]
+    delays: Mapping[str, Survival]
+    summaries: Sequence[Row]
+    size: str
+    own: Sequence[Row] = ()
+    state_shares: Mapping[str, Mapping[str, Mapping[str, Measured]]] = field(default_factory=dict)
+    panels: Sequence[TrustPanel] = ()
+    unshown: int = 0
+    not_suspending: Sequence[str] = ()
+
+    def names(self, key: str) -> list[Any]:
+        """The values of a name in order of appearance, without those of runs without an attack."""
+        return list(dict.fromkeys(row.of[key] for row in self.rows if row.of["attack"] or key == "defence"))
+
+    def row(self, defence: object, attack: object, n_adversaries: object, placement: object) -> Row | None:
+        """The row of a cell; None if there is none. Without adversaries, it is the same for every attack."""
+        for row in self.rows:
+            quiet = row.of["n_adversaries"] == n_adversaries == 0
+            place = row.of["attack"], row.of["n_adversaries"], row.of["placement"]
+            if row.of["defence"] == defence and (quiet or place == (attack, n_adversaries, placement)):
+                return row
+        return None
+
 
 #: Texts of a row by heading.
 Columns = Mapping[str, Callable[[Row], str]]
@@ -61,7 +150,7 @@ def _columns(names: Sequence[str]) -> dict[str, Callable[[Row], str]]:
     return {DEFENCE_MEASURES[name]: _text(name) for name in names}
 
 
-def tables(matrix: DefenceMatrix, summed: TextTable) -> list[TextTable]:
+def tables(matrix: MatrixTable, summed: TextTable) -> list[TextTable]:
     """All tables that have a line, the summary last."""
     every = [_costs(matrix), *damage(matrix), *_distance(matrix)]
     every += [_own(matrix), _detection(matrix), _framing(matrix), _faults(matrix)]
@@ -69,7 +158,7 @@ def tables(matrix: DefenceMatrix, summed: TextTable) -> list[TextTable]:
     return [table for table in every if table.lines]
 
 
-def damage(matrix: DefenceMatrix) -> Iterator[TextTable]:
+def damage(matrix: MatrixTable) -> Iterator[TextTable]:
     """The damage, by placement."""
     return _by_adversary(
         matrix,
@@ -79,7 +168,7 @@ def damage(matrix: DefenceMatrix) -> Iterator[TextTable]:
     )
 
 
-def _distance(matrix: DefenceMatrix) -> Iterator[TextTable]:
+def _distance(matrix: MatrixTable) -> Iterator[TextTable]:
     """What attacks do that move objects without hiding any, by placement."""
     return _by_adversary(
         matrix,
@@ -89,7 +178,7 @@ def _distance(matrix: DefenceMatrix) -> Iterator[TextTable]:
     )
 
 
-def _by_adversary(matrix: DefenceMatrix, measure: str, title: str, about: str) -> Iterator[TextTable]:
+def _by_adversary(matrix: MatrixTable, measure: str, title: str, about: str) -> Iterator[TextTable]:
     """A table for each placement: a line per adversary and number, a column per defence."""
     idle = ABOUT_IDLE if any(row.idle for row in matrix.rows) else ""
     defences = matrix.names("defence")
@@ -119,7 +208,7 @@ _SUMMARY = {
 }
 
 
-def summary(matrix: DefenceMatrix, added: Columns, about_added: str) -> TextTable:
+def summary(matrix: MatrixTable, added: Columns, about_added: str) -> TextTable:
     """What each defence is worth, over all rows; without columns that do not apply to any.
 
     added: more columns, of which none is left out
@@ -136,14 +225,14 @@ def summary(matrix: DefenceMatrix, added: Columns, about_added: str) -> TextTabl
     return table._replace(headings=headings, lines=lines)
 
 
-def _costs(matrix: DefenceMatrix) -> TextTable:
+def _costs(matrix: MatrixTable) -> TextTable:
     rows = [row for row in matrix.rows if not row.of["attack"]]
     return table_of_rows(
         "Cost without an attack", "Compared with no defence, per frame.", rows, _columns(_COSTS), _DEFENCE
     )
 
 
-def _own(matrix: DefenceMatrix) -> TextTable:
+def _own(matrix: MatrixTable) -> TextTable:
     """The user's metrics, each with its difference from no defence and no attack."""
     names = dict.fromkeys(name for row in matrix.own for name in row.numbers)
     columns = {name.replace(" difference", ", difference"): _if_any(name) for name in names}
@@ -155,7 +244,7 @@ def _if_any(name: str) -> Callable[[Row], str]:
     return lambda row: measured(row.numbers.get(name, Measured()))
 
 
-def _detection(matrix: DefenceMatrix) -> TextTable:
+def _detection(matrix: MatrixTable) -> TextTable:
     about = (
         "Lies that an honest agent could notice, and whether their object was withheld or their agent suspended; the "
         "time from the first of them to the suspension of its agent; how many of the liars were suspended. Liars that "
@@ -175,7 +264,7 @@ def _suspended(row: Row) -> str:
     return f"{whole(suspended)} of {whole(watched)}" if watched.value else DASH
 
 
-def _framing(matrix: DefenceMatrix) -> TextTable:
+def _framing(matrix: MatrixTable) -> TextTable:
     rows = [row for row in _attacked(matrix) if row["framed"].known or row["wrongly_suspended"].known]
     about = (
         "An honest agent is framed if it is suspended after the first lie of a run; runs in which nobody lied have the "
@@ -185,7 +274,7 @@ def _framing(matrix: DefenceMatrix) -> TextTable:
     return table_of_rows("Framing", about, rows, _LIED | _columns(_FRAMING), CELL, texts=4)
 
 
-def _attacked(matrix: DefenceMatrix) -> list[Row]:
+def _attacked(matrix: MatrixTable) -> list[Row]:
     """The rows of defences with adversaries."""
     judging = {each.of["defence"] for each in matrix.summaries}
     return [row for row in matrix.rows if row["attacked"].known and row.of["defence"] in judging]
@@ -199,7 +288,7 @@ def _lied(share: Measured) -> str:
 _LIED = {"runs with a lie": shown("attacked", _lied)}
 
 
-def _faults(matrix: DefenceMatrix) -> TextTable:
+def _faults(matrix: MatrixTable) -> TextTable:
     rows = [
         row
         for row in matrix.rows
@@ -210,7 +299,7 @@ def _faults(matrix: DefenceMatrix) -> TextTable:
     )
 
 
-def _states_by_conduct(matrix: DefenceMatrix) -> TextTable:
+def _states_by_conduct(matrix: MatrixTable) -> TextTable:
     """The shares of states for each defence and conduct, over all its cells."""
     states: list[str] = []
     lines = []
@@ -222,7 +311,7 @@ def _states_by_conduct(matrix: DefenceMatrix) -> TextTable:
     return TextTable("States of trust by conduct", about, ["defence", "conduct", *states], lines, 2)
 
 
-def _characteristics(matrix: DefenceMatrix) -> TextTable:
+def _characteristics(matrix: MatrixTable) -> TextTable:
     lines = [
         [each.defence, measured(each.auc, 3), measured(each.partial_auc, 3), number(each.hours, 3)]
         for each in matrix.rocs
@@ -235,7 +324,7 @@ def _characteristics(matrix: DefenceMatrix) -> TextTable:
     return TextTable("ROC", about, headings, lines, 1)
 
 
-def defence_tables(matrix: DefenceMatrix, added: Columns | None = None, about_added: str = "") -> ResultTables:
+def defence_tables(matrix: MatrixTable, added: Columns | None = None, about_added: str = "") -> ResultTables:
     """All tables; the terminal has the damage for each placement, and the summary.
 
     The CSV has a row per cell and measure, then per defence. added, about_added: more columns of the summary
@@ -270,7 +359,7 @@ def defence_tables(matrix: DefenceMatrix, added: Columns | None = None, about_ad
 _HEADLINE = {"damage": "{} missed and false objects a frame", "ospa_added_m": "{} m of OSPA"}
 
 
-def headline(matrix: DefenceMatrix) -> str:
+def headline(matrix: MatrixTable) -> str:
     """The clearest damage by an adversary; without a full stop. Empty: too few trials for a test."""
     rows = [row for row in matrix.rows if row.of["attack"]]
     effects = {(index, name): row[name] for index, row in enumerate(rows) for name in _HEADLINE}
@@ -283,7 +372,7 @@ def headline(matrix: DefenceMatrix) -> str:
     return f"No adversary does distinguishable damage, in {plural(tests, 'comparison')}" if tests else ""
 
 
-def csv_rows(matrix: DefenceMatrix) -> list[Row]:
+def csv_rows(matrix: MatrixTable) -> list[Row]:
     """What the CSV has: cells, then defences."""
     summaries = [
         replace(each, numbers={f"summary {name}": value for name, value in each.numbers.items()})

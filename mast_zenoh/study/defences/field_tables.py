@@ -6,17 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
-from mast_zenoh.metrics.field_results import (
-    FIELD_MEASURES,
-    QUANTITIES,
-    FieldBreakdown,
-    FieldMatrix,
-    Published,
-    PublishedNumber,
-)
 from mast_zenoh.metrics.study_results import Measured, Row
-from mast_zenoh.report.tables.defences import ABOUT_IDLE, CELL, IDLE, csv_rows, defence_tables
-from mast_zenoh.report.tables.scoreboard import scoreboard_tables
 from mast_zenoh.report.tables.text_table import (
     BOUNDS,
     DASH,
@@ -31,6 +21,38 @@ from mast_zenoh.report.tables.text_table import (
     shown,
     table_of_rows,
 )
+from mast_zenoh.study.defences.matrix_tables import (
+    ABOUT_IDLE,
+    CELL,
+    IDLE,
+    csv_rows,
+    defence_tables,
+)
+from mast_zenoh.study.defences.published import PublishedNumber
+from mast_zenoh.study.defences.scoreboard import FieldTable, scoreboard_tables
+
+#: Measures of a cell, and their headings.
+FIELD_MEASURES = {
+    "harm": "missed and false objects, minus undefended",
+    "attacked": "runs with a lie (share)",
+    "honest_suspended": "runs that suspend an honest agent (share)",
+    "cpu_ms": "processor time (ms per frame)",
+    "cpu_ratio": "processor time, relative to undefended",
+}
+#: Our numbers next to published figures, and their headings.
+QUANTITIES = {
+    "lies_detected": "observable lies detected (share)",
+    "harm_removed": "removed of what attacks add (share)",
+    "honest_suspended_time": "time in which honest agents are suspended (share)",
+    "median_delay_s": "median time to suspension (s)",
+    "targets_suspended": "agents attacked that are suspended (share)",
+    "fn_added_alone": "missed objects added per frame without an attack",
+    "fp_added": "false objects added per frame",
+    "damage": "missed and false objects added per frame",
+    "ospa_vs_undefended_m": "OSPA, minus undefended (m)",
+    "cpu_growth": "processor time, relative to the other attacks",
+}
+
 
 ALL_SCENES = "all"
 #: Below tables with a breakdown.
@@ -48,7 +70,7 @@ _ABOUT_ADDED = (
 )
 
 
-def field_tables(table: FieldMatrix) -> ResultTables:
+def field_tables(table: FieldTable) -> ResultTables:
     """The scoreboard and the tables of the matrix, with those of this study before the summary, which has more columns.
 
     The CSV has all lines of the matrix, and those by kind of scene, with the column `scene` (empty: all).
@@ -68,10 +90,10 @@ def field_tables(table: FieldMatrix) -> ResultTables:
     )
 
 
-def _added_to_summaries(table: FieldMatrix) -> dict[str, Callable[[Row], str]]:
+def _added_to_summaries(table: FieldTable) -> dict[str, Callable[[Row], str]]:
     """Columns of the summary of the matrix; {} without an attack."""
     own = {row.of["defence"]: row for row in table.summaries}
-    breaks_at = {each.defence: each for each in table.breakdowns if not each.scene}
+    breaks_at = {each.of["defence"]: each for each in table.breakdowns if not each.of["scene"]}
 
     def number_of(name: str, decimals: int = 2) -> Callable[[Row], str]:
         return lambda row: measured(own[row.of["defence"]][name], decimals)
@@ -86,7 +108,7 @@ def _added_to_summaries(table: FieldMatrix) -> dict[str, Callable[[Row], str]]:
     return columns if own else {}
 
 
-def _harm(table: FieldMatrix, scene: str) -> TextTable:
+def _harm(table: FieldTable, scene: str) -> TextTable:
     """A line for each attack, and a column for each defence."""
     rows = [row for row in table.rows if row.of["scene"] == scene]
     defences = table.matrix.names("defence")[1:]
@@ -104,7 +126,7 @@ def _harm(table: FieldMatrix, scene: str) -> TextTable:
     return TextTable(f"Harm with and without defence, {scene}", about, headings, lines if defences else [], 3)
 
 
-def _processor_time(table: FieldMatrix) -> TextTable:
+def _processor_time(table: FieldTable) -> TextTable:
     rows = [row for row in table.rows if not row.of["scene"] and row["cpu_ms"].known]
     about = (
         "Of the process that plays the run: all agents, command centre, adversaries and evaluator, without the scene. "
@@ -116,12 +138,12 @@ def _processor_time(table: FieldMatrix) -> TextTable:
     return table_of_rows("Processor time", about, named, columns, CELL, texts=4)
 
 
-def _breakdown(table: FieldMatrix) -> TextTable:
-    counts = sorted({count for each in table.breakdowns for count in each.broken})
+def _breakdown(table: FieldTable) -> TextTable:
+    counts = sorted({count for each in table.breakdowns for count in counts_of(each)})
     lines = [
         [
-            *(each.defence, each.scene or ALL_SCENES, str(each.agents) if each.agents else DASH),
-            *(percent(each.broken.get(count, Measured())) for count in counts),
+            *(each.of["defence"], each.of["scene"] or ALL_SCENES, str(each.of["agents"] or DASH)),
+            *(percent(each.numbers.get(f"broken {count}", Measured())) for count in counts),
             *(_breaks_at(each), _share_of_liars(each), _weakest(each)),
         ]
         for each in table.breakdowns
@@ -133,45 +155,53 @@ def _breakdown(table: FieldMatrix) -> TextTable:
     return TextTable("Breakdown", _ABOUT_BREAKING, headings, lines, 3)
 
 
-def _breaks_at(each: FieldBreakdown) -> str:
+def counts_of(breakdown: Row) -> list[int]:
+    """The numbers of adversaries that were tried."""
+    return [int(name.removeprefix("broken ")) for name in breakdown.numbers if name.startswith("broken ")]
+
+
+def _breaks_at(each: Row) -> str:
     """`1.50 [1.20, 2.00]`, or `> 2` if it is beyond what was tried, or `\u2264 2` if nothing less was."""
-    point = each.point
+    point = each["breaks_at"]
     if not math.isinf(point.value):
         return _at_most(each, point.value) or measured(point)
     low = f" [{number(point.low)}, \u221e)" if math.isfinite(point.low) else ""
-    return f"> {each.most}{low}"
+    return f"> {max(counts_of(each))}{low}"
 
 
-def _at_most(each: FieldBreakdown, value: float) -> str:
+def _at_most(each: Row, value: float) -> str:
     """`\u2264 2` if the only number of adversaries that was tried is enough to break it; otherwise empty."""
-    return f"\u2264 {each.only}" if each.only and 0.0 < value <= each.only else ""
+    tried = {*counts_of(each)} - {0}
+    return f"\u2264 {max(tried)}" if len(tried) == 1 and 0.0 < value <= max(tried) else ""
 
 
-def _share_of_liars(each: FieldBreakdown) -> str:
-    if not each.agents or not each.point.known:
+def _share_of_liars(each: Row) -> str:
+    point, agents, most = each["breaks_at"], each.of["agents"], max(counts_of(each))
+    if not agents or not point.known:
         return DASH
-    if _at_most(each, each.point.value):
-        return f"\u2264 {100.0 * each.only / each.agents:.0f}"
-    beyond = f"> {100.0 * each.most / each.agents:.0f}"
-    scaled = each.point._replace(**{name: getattr(each.point, name) / each.agents for name in ("value", "low", "high")})
-    return percent(scaled, beyond=beyond)
+    if _at_most(each, point.value):
+        return f"\u2264 {100.0 * most / agents:.0f}"
+    scaled = point._replace(**{name: getattr(point, name) / agents for name in ("value", "low", "high")})
+    return percent(scaled, beyond=f"> {100.0 * most / agents:.0f}")
 
 
-def _weakest(each: FieldBreakdown) -> str:
-    return f"{each.weakest} ({_at_most(each, each.weakest_at) or number(each.weakest_at)})" if each.weakest else "none"
+def _weakest(each: Row) -> str:
+    at = each["weakest_at"].value
+    return f"{each.of['weakest']} ({_at_most(each, at) or number(at)})" if each.of["weakest"] else "none"
 
 
-def _csv_rows(table: FieldMatrix) -> Iterator[Row]:
+def _csv_rows(table: FieldTable) -> Iterator[Row]:
     """The numbers by scene; that of a defence has no attack, that of the breakdown its number of adversaries."""
     for row in table.rows:
         of = row.of | {"scene": row.of["scene"] or ALL_SCENES}
         yield Row(of, row.trials, {name: row[name] for name in FIELD_MEASURES})
     for each in table.breakdowns:
-        of = {"scene": each.scene or ALL_SCENES, "defence": each.defence}
-        for count, share in each.broken.items():
+        of = {"scene": each.of["scene"] or ALL_SCENES, "defence": each.of["defence"]}
+        for count in counts_of(each):
+            share = each[f"broken {count}"]
             yield Row(of | {"n_adversaries": count}, share.trials, {"broken": share})
-        yield Row(of, each.point.trials, {"breaks_at": each.point})
-        yield Row(of | {"attack": each.weakest}, 0, {"weakest_at": Measured(each.weakest_at)})
+        yield Row(of, each["breaks_at"].trials, {"breaks_at": each["breaks_at"]})
+        yield Row(of | {"attack": each.of["weakest"]}, 0, {"weakest_at": each["weakest_at"]})
     for row in table.summaries:
         numbers = {f"summary {name}": each for name, each in row.numbers.items()}
         yield Row({"scene": ALL_SCENES} | row.of, row.trials, numbers)
@@ -199,7 +229,7 @@ _NO_FIGURE = "none known to us"
 _MOST_NAMED = 4
 
 
-def published_tables(table: FieldMatrix) -> ResultTables:
+def published_tables(table: FieldTable) -> ResultTables:
     """The published figures of what was played, each with our numbers and why they differ."""
     if not table.published:
         about = "This study played no method of which a published figure is known, so there is nothing to compare."
@@ -212,8 +242,8 @@ def published_tables(table: FieldMatrix) -> ResultTables:
         "trials, pairs of scene and seed."
     )
     lines = [
-        [each.method, each.source, each.figure or _NO_FIGURE, each.basis, _ours(each), each.why]
-        for each in table.published
+        [each.method, each.source, each.figure or _NO_FIGURE, each.basis, _ours(numbers), each.why]
+        for each, numbers in table.published
     ]
     latex = "".join(rf"p{{{width:g}\linewidth}}" for width in _PUBLISHED_WIDTHS)
     page = TextTable("Published figures", "", _PUBLISHED_HEADINGS, lines, len(_PUBLISHED_HEADINGS), latex)
@@ -221,10 +251,10 @@ def published_tables(table: FieldMatrix) -> ResultTables:
     return ResultTables(_PUBLISHED_TITLE, about, table.matrix.size, [page], numbers, [])
 
 
-def _ours(each: Published) -> str:
+def _ours(numbers: Sequence[PublishedNumber]) -> str:
     """`lies detected (share): Cad 0.50 [0.30, 0.70], under Flood; …`, by quantity and attacks."""
     texts: dict[tuple[str, str], list[str]] = {}
-    for ours in each.ours:
+    for ours in numbers:
         texts.setdefault((ours.quantity, _under(ours.attacks)), []).append(f"{ours.defence} {_value(ours)}")
     parts = (f"{QUANTITIES[name]}: {', '.join(values)}{under}" for (name, under), values in texts.items())
     return "; ".join(parts) or DASH
@@ -243,9 +273,9 @@ def _value(ours: PublishedNumber) -> str:
     return measured(ours.value, 3)
 
 
-def _published_lines(table: FieldMatrix) -> Iterator[list[object]]:
-    for each in table.published:
+def _published_lines(table: FieldTable) -> Iterator[list[object]]:
+    for each, numbers in table.published:
         paper = [each.method, each.source, each.figure, each.basis]
-        for ours in each.ours:
+        for ours in numbers:
             place = [QUANTITIES[ours.quantity], ours.defence, ", ".join(ours.attacks)]
             yield [*paper, *place, *bounds(ours.value), each.why]

@@ -1,0 +1,204 @@
+"""The figures of a matrix of defences: damage, delays, ROC and trust."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+from mast_zenoh.metrics.study_results import Measured, Row
+from mast_zenoh.report.figures.drawing import RenderedFigure, render
+from mast_zenoh.report.figures.facets import Axis, HeatMap, facet, heat_facet, marks
+from mast_zenoh.report.figures.style import LINE_STYLES, Figure, light_axes, plain
+from mast_zenoh.report.figures.trust import trust_figure
+from mast_zenoh.report.tables.text_table import number
+from mast_zenoh.study.defences.matrix_tables import MatrixTable
+from mast_zenoh.study.defences.scoreboard import FieldTable
+from mast_zenoh.viewer.palette import INK, LOCAL, RUN_COLOURS
+
+
+def figures_of_defences(matrix: MatrixTable) -> dict[str, RenderedFigure]:
+    """The figures by file name, without empty ones."""
+    figures = {}
+    if matrix.names("attack"):
+        figures["defence_matrix"] = _heat_maps(matrix)
+        figures["damage_over_adversaries"] = _damage(matrix)
+    if matrix.delays:
+        figures["detection_delay"] = _delays(matrix)
+    if matrix.rocs:
+        figures["roc"] = _rocs(matrix)
+    if matrix.panels:
+        figures["trust_over_time"] = trust_figure(matrix.panels, matrix.unshown)
+    return figures
+
+
+def _heat_maps(matrix: MatrixTable) -> RenderedFigure:
+    """Damage of every adversary to every defence: a line of maps per placement, a map per number of adversaries."""
+    defences, attacks = matrix.names("defence"), matrix.names("attack")
+    maps = [
+        [
+            HeatMap(
+                f"{_agents(count)}, {placement}",
+                attacks,
+                [[matrix.row(defence, attack, count, placement) for defence in defences] for attack in attacks],
+            )
+            for count in matrix.names("n_adversaries")
+        ]
+        for placement in matrix.names("placement")
+    ]
+    figure = heat_facet(maps, defences, "damage", "wrong objects added per frame")
+    caption = (
+        "Missed and false objects that each adversary adds to the ego's picture per frame, compared with no attack and "
+        f"no defence ({matrix.size}). {' '.join(marks(matrix.rows))}"
+    )
+    return render("defence_matrix", figure, f"Heat maps of damage. {_worst(matrix)}", caption, printed=True)
+
+
+def _damage(matrix: MatrixTable) -> RenderedFigure:
+    """Damage over the number of adversaries, a panel per adversary; the bound of a majority in the last one."""
+    placements, counts = matrix.names("placement"), [0, *matrix.names("n_adversaries")]
+    rows = []
+    for attack, defence, placement, count in product(
+        matrix.names("attack"), matrix.names("defence"), placements, counts
+    ):
+        row = matrix.row(defence, attack, count, placement)
+        if row is not None:
+            curve = f"{defence}, {placement}" if len(placements) > 1 else defence
+            rows.append(replace(row, of={"panel": attack, "curve": curve, "n": count}))
+    # The share of objects with an honest majority is the same for every defence and adversary.
+    for placement, count in product(placements, counts):
+        places = [row for row in matrix.rows if row.of["n_adversaries"] == count]
+        shares = [row["honest_majority"] for row in places if count == 0 or row.of["placement"] == placement]
+        share = next((each for each in shares if each.known), Measured())
+        of = {"panel": "honest majority (share of objects)", "curve": f"honest majority, {placement}", "n": count}
+        rows.append(Row(of, 0, {"damage": Measured(share.value)}))
+    axis = Axis("damage", "missed and false objects added\nper frame, picture")
+    columns = min(4, len({row.of["panel"] for row in rows}))
+    figure = facet(
+        rows, "n", [axis], "curve", by="panel", columns=columns, label="number of adversaries", size=(2.9, 2.7)
+    )
+    caption = (
+        f"Damage over the number of adversaries ({matrix.size}), with 95 % intervals over trials where there are five "
+        "trials or more. Last: the share of objects that more honest agents see than compromised ones. No rule that "
+        "counts viewers can know more. White centre: the adversaries lied in none of the runs."
+    )
+    return render(
+        "damage_over_adversaries", figure, f"Damage over number of adversaries. {_worst(matrix)}", caption, printed=True
+    )
+
+
+def _delays(matrix: MatrixTable) -> RenderedFigure:
+    figure = Figure(figsize=(7.0, 3.8), layout="constrained", facecolor="white")
+    axes = figure.subplots()
+    light_axes(axes)
+    for defence, delay in matrix.delays.items():
+        label = f"{defence}: {delay.detections} of {delay.watched}"
+        axes.step(delay.time_s, 100.0 * delay.undetected, where="post", **_line(matrix, defence, label))
+    axes.set_xlabel("s since the first observable lie", fontsize=9.5, color=INK)
+    axes.set_ylabel("liars not suspended yet (%)", fontsize=9.5, color=INK)
+    axes.set_ylim(0.0, 103.0)
+    axes.set_xlim(left=0.0)
+    axes.legend(frameon=False, fontsize=9, labelcolor=INK, title="suspended", alignment="left")
+    caption = (
+        "Time from an agent's first observable lie to its suspension, over all adversaries (Kaplan-Meier). Agents that "
+        "were not suspended count for as long as they were watched."
+    )
+    if matrix.not_suspending:
+        caption += f" Not drawn, as they suspended nobody: {', '.join(matrix.not_suspending)}."
+    values = "; ".join(
+        f"{defence} {delay.detections} of {delay.watched}, median {number(delay.median_s)} s"
+        for defence, delay in matrix.delays.items()
+    )
+    return render("detection_delay", figure, f"Share of liars not suspended: {values}.", caption, printed=True)
+
+
+def _rocs(matrix: MatrixTable) -> RenderedFigure:
+    figure = Figure(figsize=(5.6, 4.4), layout="constrained", facecolor="white")
+    axes = figure.subplots()
+    light_axes(axes)
+    axes.plot([0, 100], [0, 100], color=LOCAL, linewidth=0.8)
+    for each in matrix.rocs:
+        x, y = 100.0 * each.roc.false_positive_rate, 100.0 * each.roc.true_positive_rate
+        axes.plot(x, y, **_line(matrix, each.defence, f"{each.defence}: AUC {number(each.auc.value)}"))
+    axes.set_xlabel("honest agent-runs above the threshold (%)", fontsize=9.5, color=INK)
+    axes.set_ylabel("lying agent-runs above the threshold (%)", fontsize=9.5, color=INK)
+    axes.legend(frameon=False, fontsize=9, labelcolor=INK, loc="lower right")
+    caption = (
+        "Each agent of each run has one score, its greatest suspicion. One honest agent-run is at most one false alarm "
+        "in the hours of all runs together, so few runs say nothing about one alarm per hour. Runs under attack in "
+        "which the adversaries never lied are left out."
+    )
+    values = "; ".join(f"{each.defence} {number(each.auc.value)}" for each in matrix.rocs)
+    return render("roc", figure, f"Receiver operating characteristics, areas below: {values}.", caption, printed=True)
+
+
+def _line(matrix: MatrixTable, defence: str, label: str) -> dict[str, Any]:
+    """How the line of a defence looks, the same in all figures."""
+    index = matrix.names("defence").index(defence)
+    colour, style = RUN_COLOURS[index % len(RUN_COLOURS)], LINE_STYLES[index % len(LINE_STYLES)]
+    return {"color": colour, "linestyle": style, "linewidth": 1.8, "label": plain(label)}
+
+
+def _worst(matrix: MatrixTable) -> str:
+    """The adversary that does the most damage to each defence."""
+    parts = []
+    for defence in matrix.names("defence"):
+        rows = [row for row in matrix.rows if row.of["defence"] == defence and row.of["attack"]]
+        rows = [row for row in rows if not math.isnan(row["damage"].value) and not row.idle]
+        if rows:
+            row = max(rows, key=lambda each: each["damage"].value)
+            by = f"{row.of['attack']}, {_agents(row.of['n_adversaries'])}"
+            parts.append(f"{defence}: {number(row['damage'].value)} by {by}")
+    return f"Most damage to {'; '.join(parts)}." if parts else ""
+
+
+def _agents(count: object) -> str:
+    return f"{count} adversar{'y' if count == 1 else 'ies'}"
+
+
+def harm_by_scene(table: FieldTable) -> dict[str, RenderedFigure]:
+    """For a paper: a panel for each kind of scene (lines), and number and placement of the adversaries (columns)."""
+    defences, attacks = table.matrix.names("defence")[1:], ["", *table.matrix.names("attack")]
+    if not defences or len(attacks) == 1:
+        return {}
+    cells = {tuple(row.of.values()): row for row in table.rows}
+    places = list(dict.fromkeys(key[3:] for key in cells if key[2]))
+    several = [len({place[at] for place in places}) > 1 for at in (0, 1)]
+    maps: list[list[HeatMap]] = []
+    for scene in table.scenes:
+        maps.append([])
+        for column, place in enumerate(places):
+            shown = attacks[bool(column) :]  # without an attack, the numbers are the same in all columns
+            parts = [f"n = {place[0]}"] * (len(places) > 1) + [place[1]] * several[1]
+            lines = [
+                [cells.get((scene, name, attack, *(place if attack else (0, "")))) for name in defences]
+                for attack in shown
+            ]
+            maps[-1].append(HeatMap(", ".join([scene, *parts]), [attack or "no attack" for attack in shown], lines))
+    figure = heat_facet(maps, defences, "harm", "wrong objects per frame, minus no defence")
+    adversaries = f"{_agents(places[0][0])}, {places[0][1]}" if len(places) == 1 else "n: number of adversaries"
+    caption = (
+        "Missed and false objects per frame in the ego's picture, with minus without the defence, under the same "
+        f"attack ({table.matrix.size}; {adversaries}). Blue: the defence helps. Red: it does harm. "
+        f"{' '.join(marks([row for row in table.rows if row.of['scene']]))} Colours are linear up to 1, then "
+        "logarithmic."
+    )
+    alt = f"Heat maps of harm relative to no defence. {_best(table)}"
+    return {"harm_by_scene": render("harm_by_scene", figure, alt, caption, printed=True)}
+
+
+def _best(table: FieldTable) -> str:
+    """By scene, the cells in which a defence helps and harms most."""
+    parts = []
+    for scene in table.scenes:
+        rows = [row for row in table.rows if row.of["scene"] == scene and row["harm"].known and not row.idle]
+        rows = [row for row in rows if row.of["defence"] in table.matrix.names("defence")[1:]]
+        if rows:
+            least, most = (choose(rows, key=lambda row: row["harm"].value) for choose in (min, max))
+            texts = (
+                f"{number(each['harm'].value)} by {each.of['defence']} against {each.of['attack'] or 'no attack'}"
+                for each in (least, most)
+            )
+            parts.append(f"{scene}: {' to '.join(texts)}")
+    return f"{'; '.join(parts)}." if parts else ""
