@@ -17,8 +17,8 @@ from mast_zenoh.metrics.significance import holm
 from mast_zenoh.metrics.study_results import Estimate, FailedTrial, IdleAttack, Series, StudyRow, shares
 from mast_zenoh.report.narrative.study import compare, other_changes, reservations, result
 from mast_zenoh.report.tables import study
-from mast_zenoh.report.tables.study import Cell, Section
 from mast_zenoh.report.tables.study_rows import over_trials
+from mast_zenoh.report.tables.text_table import TextTable
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2, 3)), *grid("coordinated", 0.5, n=(1, 2, 3))]
 FAILED = FailedTrial("coordinated-3", "intersection:1", 7, "RunError: on | purpose", "mast run coordinated --seed 7")
@@ -278,16 +278,13 @@ def test_attacks_that_never_began_are_reported_first() -> None:
 
 
 def test_a_wide_table_has_parts_of_whole_groups_and_one_caption() -> None:
-    groups = (("one", ("a", "b", "c")), ("two", ("d", "e")), ("three", tuple("fghijkl")))
-    cells = tuple(Cell(name) for name in "abcdefghijkl")
-    parts = Section("Wide", "all of it", groups, (("row", cells),)).parts(5)
-    assert [part.groups for part in parts] == [
-        (("one", ("a", "b", "c")), ("two", ("d", "e"))),
-        (("three", tuple("fghi")),),
-        (("three", tuple("jkl")),),
-    ]
-    assert ["".join(cell.text for cell in part.lines[0][1]) for part in parts] == ["abcde", "fghi", "jkl"]
-    assert [part.caption for part in parts] == ["", "", "all of it"]
+    groups = ["", *["one"] * 3, *["two"] * 2, *["three"] * 7]
+    table = TextTable("Wide", "all of it", ["", *"abcdefghijkl"], [["row", *"ABCDEFGHIJKL"]], 1, groups=groups)
+    parts = table.parts(5)
+    assert ["".join(part.headings) for part in parts] == ["abcde", "fghi", "jkl"]
+    assert ["".join(part.lines[0]) for part in parts] == ["rowABCDE", "rowFGHI", "rowJKL"]
+    assert [len({*part.groups}) - 1 for part in parts] == [2, 1, 1]
+    assert [part.about for part in parts] == ["", "", "all of it"]
 
 
 def test_studies_of_peers_and_radio_show_whom_attacks_deceived_and_the_load_of_the_channel() -> None:

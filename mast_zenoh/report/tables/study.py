@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-import textwrap
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 
 from mast_zenoh.metrics import CAUSES
@@ -46,66 +41,14 @@ from mast_zenoh.report.tables.study_rows import (
     unchanged,
     value,
 )
-from mast_zenoh.report.tables.text_table import DASH, csv_text, digits, number
+from mast_zenoh.report.tables.text_table import DASH, TextTable, csv_text, digits, number, wrapped
 
 _ALL = "all"
 _WRONG = {"fp": "false objects", "fn": "missed objects"}
 _PAIRED = "Difference from the baseline of the same scene and seed; mean and 95 % interval over seeds of these scenes."
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """A number as text.
-
-    below: the text below it; marked: whether it is distinguishable from 0
-    """
-
-    text: str = DASH
-    below: str = ""
-    marked: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Section:
-    """One table.
-
-    groups:   of columns: a name ("" where there is one group) and the headings
-    lines:    a label, and a cell for each column
-    terminal: whether the terminal shows it; brief: whether it does so without the text below numbers
-    """
-
-    title: str
-    caption: str
-    groups: tuple[tuple[str, tuple[str, ...]], ...]
-    lines: tuple[tuple[str, tuple[Cell, ...]], ...]
-    terminal: bool = True
-    brief: bool = False
-
-    @property
-    def headings(self) -> list[str]:
-        """The headings of all columns."""
-        return [heading for _, headings in self.groups for heading in headings]
-
-    def parts(self, most: int) -> list[Section]:
-        """The table in parts of at most so many columns, of whole groups if possible; the caption is below the last."""
-        starts, end = [0], 0
-        for _, headings in self.groups:
-            wide = math.ceil(len(headings) / math.ceil(len(headings) / most))
-            for start in range(0, len(headings), wide):
-                size = min(wide, len(headings) - start)
-                starts += [end] * (end + size - starts[-1] > most)
-                end += size
-        columns = [(name, heading) for name, headings in self.groups for heading in headings]
-        result = []
-        for start, until in itertools.pairwise([*starts, end]):
-            groups = itertools.groupby(columns[start:until], key=lambda column: column[0])
-            named = tuple((name, tuple(heading for _, heading in of_group)) for name, of_group in groups)
-            lines = tuple((label, cells[start:until]) for label, cells in self.lines)
-            result.append(replace(self, groups=named, lines=lines, caption=self.caption if until == end else ""))
-        return result
-
-
-def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) -> list[Section]:
+def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) -> list[TextTable]:
     """All non-empty tables of a study."""
     attacked = [row for row in rows if row.label != baseline]
     title = difference_title(rows, baseline)
@@ -114,7 +57,7 @@ def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) 
     tables += [_scores(rows, group) for group in ALL_SCORES]
     tables += [*_achieved(attacked), _defence(rows), _cooperation(rows), _others(rows)]
     tables += [_causes(rows, estimator, outcome) for estimator in ("picture", "mission") for outcome in _WRONG]
-    return [section for section in tables if section.lines and section.headings]
+    return [table for table in tables if table.lines and len(table.headings) > 1]
 
 
 def difference_title(rows: Sequence[StudyRow], baseline: str) -> str:
@@ -122,27 +65,27 @@ def difference_title(rows: Sequence[StudyRow], baseline: str) -> str:
     return "What the attack adds" if attacks_differ(rows, baseline) else "Difference from the baseline"
 
 
-def side_by_side(rows: Sequence[StudyRow]) -> Section:
+def side_by_side(rows: Sequence[StudyRow]) -> TextTable:
     """The scores of all estimates in one table, a group of columns for each."""
     return _table("", "", SCORES, rows, lambda row, column: _over_trials(column.of(row)))
 
 
-def _paper(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> Section:
+def _paper(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> TextTable:
     caption = (
         "Objects per frame: mean ± standard deviation over the frames of all trials; below it the 95 % interval of the "
         "mean over seeds of these scenes, each trial paired with its baseline, after that mean where it differs."
     )
 
-    def cell(row: StudyRow, column: Column) -> Cell:
+    def cell(row: StudyRow, column: Column) -> str:
         estimate = column.of(row)
         same = number(estimate.trial_mean) in (number(estimate.mean), DASH)
         below = bounds(estimate) if same else over_trials(estimate)
-        return Cell(over_frames(estimate), below, comparisons.remains(row, column))
+        return _cell(over_frames(estimate), below, marked=comparisons.remains(row, column))
 
     return _table(f"{title}, in the paper's columns", caption, PAPER, rows, cell)
 
 
-def _added(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> list[Section]:
+def _added(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> list[TextTable]:
     """A table per estimate that differs; the terminal shows the ego's."""
     tables = []
     for estimator, group in zip(ESTIMATORS, ADDED, strict=True):
@@ -151,14 +94,14 @@ def _added(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> li
             _PAIRED,
             (group,),
             rows,
-            lambda row, column: replace(_over_trials(column.of(row)), marked=comparisons.remains(row, column)),
+            lambda row, column: _over_trials(column.of(row), marked=comparisons.remains(row, column)),
         )
         if not unchanged(rows, group[1]):
-            tables.append(replace(section, terminal=estimator != "picture"))
+            tables.append(section._replace(terminal=estimator != "picture"))
     return tables
 
 
-def _to_other_scenes(title: str, rows: Sequence[StudyRow]) -> list[Section]:
+def _to_other_scenes(title: str, rows: Sequence[StudyRow]) -> list[TextTable]:
     """Increments with intervals to other scenes, for estimates that have them."""
     caption = "The same means, with the 95 % interval to other scenes drawn like these, and other seeds."
     groups = [group for group in ADDED if any(not math.isnan(c.of(row).scenes_low) for row in rows for c in group[1])]
@@ -168,47 +111,44 @@ def _to_other_scenes(title: str, rows: Sequence[StudyRow]) -> list[Section]:
             caption,
             (group,),
             rows,
-            lambda row, column: Cell(value(column.of(row)), bounds(column.of(row), scenes=True)),
+            lambda row, column: _cell(value(column.of(row)), bounds(column.of(row), scenes=True)),
             terminal=False,
         )
         for group in groups
     ]
 
 
-def _scores(rows: Sequence[StudyRow], group: tuple[str, tuple[Column, ...]]) -> Section:
+def _scores(rows: Sequence[StudyRow], group: tuple[str, tuple[Column, ...]]) -> TextTable:
     caption = "FN, FP, TP: objects per frame missed, false and matched. Mean and 95 % interval over seeds."
     title = f"Scores: {group[0]}"
     return _table(title, caption, (group,), rows, lambda row, column: _over_trials(column.of(row)), brief=True)
 
 
-def _achieved(rows: Sequence[StudyRow]) -> list[Section]:
+def _achieved(rows: Sequence[StudyRow]) -> list[TextTable]:
     """Achievements of all adversaries together, and of each one."""
     series = list(dict.fromkeys(each for row in rows for each in row.estimates if each.estimator == ACHIEVED))
     names = list(dict.fromkeys(each.metric for each in series))
     all_adversaries = [each.owner for each in series if each.owner == _ALL][:1]
     single_adversaries = list(dict.fromkeys(each.owner for each in series if each.owner != _ALL))
     caption = "Mean over trials, or success rate of yes-or-no values; 95 % interval over seeds of these scenes."
-    headings = (("", tuple(name.replace("_", " ") for name in names)),)
+    headings = ["", *(name.replace("_", " ") for name in names)]
     tables = []
     for title, group in (
         ("What the attack achieved", all_adversaries),
         ("What each adversary achieved", single_adversaries),
     ):
-        cells = {
-            row.label if owner == _ALL else f"{row.label}: {owner}": tuple(
-                _over_trials(row.get(name, ACHIEVED, owner)) for name in names
-            )
+        lines = [
+            [row.label if owner == _ALL else f"{row.label}: {owner}", *cells]
             for row in rows
             for owner in group
-        }
-        lines = [(label, line) for label, line in cells.items() if any(cell != Cell() for cell in line)]
-        tables.append(
-            Section(title, caption, headings, tuple(lines), terminal=group is all_adversaries or not all_adversaries)
-        )
+            if {*(cells := [_over_trials(row.get(name, ACHIEVED, owner)) for name in names])} != {DASH}
+        ]
+        terminal = group is all_adversaries or not all_adversaries
+        tables.append(TextTable(title, caption, headings, lines, 1, terminal=terminal))
     return tables
 
 
-def _defence(rows: Sequence[StudyRow]) -> Section:
+def _defence(rows: Sequence[StudyRow]) -> TextTable:
     caption = (
         "Agents suspended, and objects per frame withheld from the picture; mean and 95 % interval over seeds of these "
         "scenes. The delay is from an agent's first lie to its suspension, in trials in which one is suspended."
@@ -217,14 +157,14 @@ def _defence(rows: Sequence[StudyRow]) -> Section:
     return _table("What the defence did", caption, DEFENCE, defended, lambda row, column: _over_trials(column.of(row)))
 
 
-def _cooperation(rows: Sequence[StudyRow]) -> Section:
+def _cooperation(rows: Sequence[StudyRow]) -> TextTable:
     caption = "Shares of the agents, of the time, of the frames and of the messages; mean and 95 % interval over seeds."
     apart = [row for row in rows if any(series.estimator in ("pictures", "channel") for series in row.estimates)]
     title = "Pictures and radio channel"
     return _table(title, caption, COOPERATION, apart, lambda row, column: _over_trials(column.of(row)))
 
 
-def _others(rows: Sequence[StudyRow]) -> Section:
+def _others(rows: Sequence[StudyRow]) -> TextTable:
     """Other numbers of the ego, such as user-defined metrics, a line each."""
     table_series = {(column.estimator, column.metric) for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
     series = [
@@ -233,11 +173,11 @@ def _others(rows: Sequence[StudyRow]) -> Section:
         if each.owner == rows[0].ego and (each.estimator, each.metric) not in table_series and " " not in each.metric
     ]
 
-    def cells(each: Series) -> tuple[Cell, ...]:
-        return tuple(_over_trials(row.estimates.get(each, Estimate())) for row in rows)
+    def cells(each: Series) -> list[str]:
+        return [_over_trials(row.estimates.get(each, Estimate())) for row in rows]
 
     lines = [
-        (f"{each.estimator} {each.metric}", cells(each))
+        [f"{each.estimator} {each.metric}", *cells(each)]
         for each in series
         if not (
             each.metric.endswith("_iob") and all(row.estimates[each].unchanged for row in rows if each in row.estimates)
@@ -249,28 +189,29 @@ def _others(rows: Sequence[StudyRow]) -> Section:
     )
     if any(row.estimates[each].mostly_zero for row in rows for each in series if each in row.estimates):
         caption = f"{caption} {MOSTLY_ZERO}"
-    return Section(
-        "Other numbers of the ego", caption, (("", tuple(row.label for row in rows)),), tuple(lines), terminal=False
-    )
+    headings = ["", *(row.label for row in rows)]
+    return TextTable("Other numbers of the ego", caption, headings, lines, 1, terminal=False)
 
 
-def _causes(rows: Sequence[StudyRow], estimator: str, outcome: str) -> Section:
+def _causes(rows: Sequence[StudyRow], estimator: str, outcome: str) -> TextTable:
     """The causes that occur, with their shares."""
     parts = {row.label: shares(row, outcome, estimator) for row in rows}
     causes = [cause for cause in CAUSES if any(cause in row_shares for row_shares in parts.values())]
-    lines = tuple(
-        (
-            label,
-            tuple(Cell(f"{100.0 * row_shares[cause]:.1f} %") if cause in row_shares else Cell() for cause in causes),
-        )
-        for label, row_shares in parts.items()
-    )
+    lines = [
+        [label, *(f"{100.0 * of_row[cause]:.1f} %" if cause in of_row else DASH for cause in causes)]
+        for label, of_row in parts.items()
+    ]
     title = f"Causes of {_WRONG[outcome]}, share: {ESTIMATORS[estimator]}"
-    return Section(title, "", (("", tuple(causes)),), lines, terminal=estimator == "picture")
+    return TextTable(title, "", ["", *causes], lines, 1, terminal=estimator == "picture")
 
 
-def _over_trials(estimate: Estimate) -> Cell:
-    return Cell(value(estimate), bounds(estimate))
+def _over_trials(estimate: Estimate, *, marked: bool = False) -> str:
+    return _cell(value(estimate), bounds(estimate), marked=marked)
+
+
+def _cell(text: str, below: str, *, marked: bool = False) -> str:
+    """A number, with a mark if it is distinguishable from 0, and the text below it."""
+    return f"{text}{'*' if marked else ''}\n{below}".rstrip("\n")
 
 
 def _table(
@@ -278,37 +219,38 @@ def _table(
     caption: str,
     groups: Groups,
     rows: Iterable[StudyRow],
-    cell: Callable[[StudyRow, Column], Cell],
+    cell: Callable[[StudyRow, Column], str],
     *,
     terminal: bool = True,
     brief: bool = False,
-) -> Section:
+) -> TextTable:
     """A table with a line per configuration, without empty groups."""
     rows = list(rows)
     groups = present(rows, groups)
     columns = columns_of(groups)
-    lines = tuple((row.label, tuple(cell(row, column) for column in columns)) for row in rows)
-    headings = tuple((name, tuple(column.heading for column in group_columns)) for name, group_columns in groups)
+    lines = [[row.label, *(cell(row, column) for column in columns)] for row in rows]
+    headings = ["", *(column.heading for column in columns)]
+    of_columns = ["", *(name for name, group_columns in groups for _ in group_columns)]
     if any(column.of(row).mostly_zero for row in rows for column in columns):
         caption = f"{caption} {MOSTLY_ZERO}"
-    return Section(title, caption, headings, lines if groups else (), terminal, brief)
-
-
-_WIDTH = 80
+    return TextTable(
+        title, caption, headings, lines if groups else [], 1, groups=of_columns, terminal=terminal, brief=brief
+    )
 
 
 def as_rich(rows: Sequence[StudyRow], facts: StudyFacts) -> Group:
     """Failures, the result in words, and tables for a terminal of 80 columns."""
     comparisons = compare(rows, facts.baseline)
-    parts: list[Text | Table] = [Text("")]
+    parts: list[Text | Group] = [Text("")]
     if facts.failures:
         parts.append(_wrapped(f"{facts.failures}.", "bold red"))
     titled_rows, titled_facts = titled(rows, facts)
     sentences = _sentences(titled_rows, titled_facts, compare(titled_rows, titled_facts.baseline))
     parts += [_wrapped(sentence) for sentence in (*sentences, *_labels(rows))]
-    for section in sections(rows, facts.baseline, comparisons):
-        if section.terminal:
-            parts += _rich(section)
+    for table in sections(rows, facts.baseline, comparisons):
+        if table.terminal:
+            brief = table._replace(title=f"{table.title}, mean", about="") if table.brief else table
+            parts += [Text(""), brief.as_rich()]
     return Group(*parts, Text(""), _wrapped(comparisons_made(comparisons)))
 
 
@@ -325,41 +267,7 @@ def _sentences(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Compari
 
 
 def _wrapped(text: str, style: str = "") -> Text:
-    return Text(textwrap.fill(text, _WIDTH), style=style)
-
-
-def _rich(section: Section) -> Iterator[Text | Table]:
-    """A section as tables with as many columns as fit."""
-    label_width = max(len(label) for label, _ in section.lines)
-    widths = [
-        max([len(word) for word in heading.split()] + [_width(cells[index], section) for _, cells in section.lines])
-        for index, heading in enumerate(section.headings)
-    ]
-    yield Text(f"\n{section.title}{', mean' if section.brief else ''}", style="bold")
-    if section.caption and not section.brief:
-        yield _wrapped(section.caption, "dim")
-    start = 0
-    while start < len(widths):
-        end = start + 1
-        while end < len(widths) and label_width + 3 + sum(width + 2 for width in widths[start : end + 1]) <= _WIDTH:
-            end += 1
-        table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-        table.add_column("", overflow="fold")
-        for heading, width in zip(section.headings[start:end], widths[start:end], strict=True):
-            table.add_column(Text(heading), justify="right", width=width, no_wrap=False)
-        for label, cells in section.lines:
-            table.add_row(Text(label), *(_text(cell, section) for cell in cells[start:end]))
-        yield table
-        start = end
-
-
-def _text(cell: Cell, section: Section) -> Text:
-    number = cell.text + ("*" if cell.marked else "")
-    return Text(number if section.brief or not cell.below else f"{number}\n{cell.below}")
-
-
-def _width(cell: Cell, section: Section) -> int:
-    return max(len(line) for line in _text(cell, section).plain.split("\n"))
+    return Text(wrapped(text), style=style)
 
 
 def as_markdown(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
@@ -368,28 +276,14 @@ def as_markdown(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
     comparisons = compare(rows, facts.baseline)
     page = [f"# {facts.name}", ""]
     if facts.failed:
-        cells = [(f.configuration, [f.scene, str(f.seed), f.error, f"`{f.command}`"]) for f in facts.failed]
-        page += [f"## {facts.failures}", "", *_markdown(["scene", "seed", "error", "run it alone"], cells, "---|"), ""]
+        cells = [[f.configuration, f.scene, str(f.seed), f.error, f"`{f.command}`"] for f in facts.failed]
+        failed = TextTable("", "", ["", "scene", "seed", "error", "run it alone"], cells, 5)
+        page += [f"## {facts.failures}", "", failed.markdown(), ""]
     for sentence in (*_sentences(rows, facts, comparisons), comparisons_made(comparisons)):
         page += [sentence, ""]
-    for section in sections(rows, facts.baseline, comparisons):
-        lines = [(label, [_one_line(cell) for cell in cells]) for label, cells in section.lines]
-        caption = [section.caption, ""] if section.caption else []
-        page += [f"## {section.title}", "", *caption, *_markdown(section.headings, lines), ""]
+    for table in sections(rows, facts.baseline, comparisons):
+        page += [f"## {table.title}", "", *([table.about, ""] if table.about else []), table.markdown(), ""]
     return "\n".join(page)
-
-
-def _one_line(cell: Cell) -> str:
-    return f"{cell.text}{'*' if cell.marked else ''} {cell.below}".strip()
-
-
-def _markdown(headings: Sequence[str], cells: Sequence[tuple[str, Sequence[str]]], align: str = "---:|") -> list[str]:
-    def line(texts: Sequence[str]) -> str:
-        escaped = (text.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ") for text in texts)
-        return "| " + " | ".join(escaped) + " |"
-
-    rule = "|---|" + align * len(headings)
-    return [line(["", *headings]), rule, *(line([label, *texts]) for label, texts in cells)]
 
 
 #: The numbers of an estimate in table.csv: heading and field.

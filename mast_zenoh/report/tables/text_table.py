@@ -14,6 +14,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from mast_zenoh.metrics.study_results import MIN_SEEDS, MOSTLY_ZERO, Measured, Row
 
@@ -27,7 +28,10 @@ _NOT_REACHED = "not reached"
 class TextTable(NamedTuple):
     """A table: its title, sentences about it, its headings and lines; text columns come first.
 
+    A cell can have two lines: a number, and below it its interval.
     texts: number of text columns;  latex: column types of LaTeX, "": text columns to the left, others to the right
+    groups: of each heading, the name of its group; (): there are none
+    terminal: whether the terminal shows it;  brief: whether it does so without the second lines
     """
 
     title: str
@@ -36,24 +40,82 @@ class TextTable(NamedTuple):
     lines: Sequence[Sequence[str]]
     texts: int
     latex: str = ""
+    groups: Sequence[str] = ()
+    terminal: bool = True
+    brief: bool = False
 
     def on_page(self) -> PageTable:
         """The table for an HTML page."""
-        heads = [Head(text, kind="text" if i < self.texts else "num") for i, text in enumerate(self.headings)]
+        groups = self.groups or [""] * len(self.headings)
+        heads = [
+            Head(text, group if len({*groups} - {""}) > 1 else "", "text" if i < self.texts else "num")
+            for i, (text, group) in enumerate(zip(self.headings, groups, strict=True))
+        ]
         return PageTable(heads, [Line(line) for line in self.lines])
 
-    def as_rich(self) -> Table:
-        """A table for a terminal of 80 columns: its cells are wrapped between words, which are never cut."""
+    def columns(self, chosen: Sequence[int]) -> TextTable:
+        """The table with some of its columns."""
+        lines = [[line[index] for index in chosen] for line in self.lines]
+        groups = [self.groups[index] for index in chosen] if self.groups else ()
+        return self._replace(headings=[self.headings[index] for index in chosen], lines=lines, groups=groups)
+
+    def parts(self, most: int) -> list[TextTable]:
+        """The table in parts of at most so many numbers, of whole groups if possible; `about` is below the last."""
+        starts, end = [self.texts], self.texts
+        for _, heads in itertools.groupby(self.groups[self.texts :] or [""] * (len(self.headings) - self.texts)):
+            size = len(list(heads))
+            wide = math.ceil(size / math.ceil(size / most))
+            for start in range(0, size, wide):
+                width = min(wide, size - start)
+                starts += [end] * (end + width - starts[-1] > most)
+                end += width
+        ranges = itertools.pairwise([*starts, end])
+        named = range(self.texts)
+        return [
+            self.columns([*named, *range(start, until)])._replace(about=self.about if until == end else "")
+            for start, until in ranges
+        ]
+
+    def markdown(self) -> str:
+        """The headings and lines as Markdown."""
+        rule = ["---"] * self.texts + ["---:"] * (len(self.headings) - self.texts)
+        lines = [[_one_line(text) for text in line] for line in (self.headings, *self.lines)]
+        return "\n".join(f"| {' | '.join(line)} |" for line in (lines[0], rule, *lines[1:]))
+
+    def as_rich(self) -> Group:
+        """For a terminal of 80 columns: cells are wrapped between words, or wide tables with intervals are cut."""
+        table = self
+        if self.brief:
+            table = self._replace(lines=[[cell.partition("\n")[0] for cell in line] for line in self.lines])
+        if not (self.groups or any("\n" in cell for line in self.lines for cell in line)):
+            return Group(table._on_terminal(None))
+        widths = [
+            max(max(map(len, heading.split()), default=0), *(len(text) for cell in cells for text in cell.split("\n")))
+            for heading, *cells in zip(table.headings, *table.lines, strict=True)
+        ]
+        parts = [[*range(self.texts)]]
+        for at in range(self.texts, len(widths)):
+            if parts[-1][self.texts :] and sum(widths[index] + 2 for index in (*parts[-1], at)) + 1 > _TERMINAL:
+                parts.append([*range(self.texts)])
+            parts[-1].append(at)
+        cut = (table.columns(part)._replace(title="", about="") for part in parts)
+        of_parts = ([widths[index] for index in part] for part in parts)
+        tables = [each._on_terminal(of_part) for each, of_part in zip(cut, of_parts, strict=True)]
+        above = [Text(self.title, style="bold"), *([Text(wrapped(self.about), style="dim")] if self.about else [])]
+        return Group(*above, *tables)
+
+    def _on_terminal(self, widths: Sequence[int] | None) -> Table:
+        """widths: of columns; None: wrapped between words, which are never cut"""
         result = Table(
-            title=escape(wrapped(self.title)),
+            title=escape(wrapped(self.title)) or None,
             title_justify="left",
             caption=escape(wrapped(self.about)) or None,
             caption_justify="left",
             box=SIMPLE_HEAD,
             padding=(0, 1, 0, 0),
         )
-        columns = list(zip(self.headings, *self.lines, strict=True))
-        for index, (heading, width) in enumerate(zip(self.headings, _widths(columns), strict=True)):
+        widths = widths or _widths(list(zip(self.headings, *self.lines, strict=True)))
+        for index, (heading, width) in enumerate(zip(self.headings, widths, strict=True)):
             result.add_column(heading, justify="left" if index == 0 else "right", width=width)
         for line in self.lines:
             result.add_row(*map(escape, line))
@@ -125,9 +187,7 @@ class ResultTables(NamedTuple):
         """A page with a title, and all tables."""
         parts = [f"# {self.title}", f"{self.about} {self.note}".rstrip()]
         for table in self.tables:
-            rows = [table.headings, ["---"] * len(table.headings), *table.lines]
-            lines = "\n".join(f"| {' | '.join(row)} |" for row in rows)
-            parts += [f"## {table.title}", *([table.about] if table.about else []), lines]
+            parts += [f"## {table.title}", *([table.about] if table.about else []), table.markdown()]
         return "\n\n".join(parts) + "\n"
 
     def as_latex(self) -> str:
@@ -151,6 +211,10 @@ class ResultTables(NamedTuple):
     def as_rich(self) -> Group:
         """The brief tables for the terminal."""
         return Group(*(table.as_rich() for table in self.brief), *([wrapped(self.note)] if self.note else []))
+
+
+def _one_line(text: str) -> str:
+    return text.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")
 
 
 def csv_text(headings: Sequence[str], lines: Iterable[Sequence[object]]) -> str:
