@@ -13,7 +13,7 @@ LAYERS: dict[str, str] = {
     "study": "sweeps, Monte Carlo, statistics, tables; attacked_run: what attackers without a role can do",
     "testing": "checks for user-written classes, and fixtures for pytest; simulation/: whole runs in virtual time",
     "api": "runs as Python objects, and listings of classes, for notebooks and scripts",
-    "report": "pages of runs and studies; figures/ tables/ narrative/ film/ templates/",
+    "report": "pages of runs and studies; figures/ tables/ findings/ narrative/ film/ templates/",
     "viewer": "the page that plays runs, and files of runs for other programs; page/ export/",
     "runs": "a run, finished or going on: its tables and frames; live/",
     "deploy": "nodes in containers and on other hosts; engine: what compose and ssh/ share",

@@ -45,7 +45,7 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
 
 #: Members of a run that users may rely on. Its other attributes are for what shows runs, and may change.
 OF_A_RUN = (
-    *("record", "id", "name", "seed", "status", "running", "headline", "summary", "agents", "agent"),
+    *("record", "id", "name", "seed", "status", "running", "headline", "findings", "summary", "agents", "agent"),
     *("metrics", "objects", "attacks", "targets", "driving", "driven", "trust", "trust_objects"),
     *("messages", "truth", "picture", "plot", "report", "export", "animate", "snapshot"),
 )

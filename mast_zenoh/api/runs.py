@@ -14,6 +14,7 @@ from mast_zenoh.runs.run import Run
 if TYPE_CHECKING:  # drawing libraries are slow to load
     from mast_zenoh.report.figures.plots import Plots
     from mast_zenoh.report.film.look import Look
+    from mast_zenoh.report.findings.finding import Finding
     from mast_zenoh.viewer.export import Exported
 
 
@@ -38,10 +39,18 @@ class OpenedRun(Run):
 
         With drivers, what happened to their cars comes first.
         """
-        from mast_zenoh.report.narrative.run import headline
+        from mast_zenoh.report.findings import headline
 
         with reading(self.path):
             return f"{headline(self._now())}."
+
+    @property
+    def findings(self) -> list[Finding]:
+        """What the report says, as data, in its order: what failed, what changed and why, what adversaries did."""
+        from mast_zenoh.report.findings import findings
+
+        with reading(self.path):
+            return findings(self._now())
 
     @property
     def plot(self) -> Plots:

@@ -7,7 +7,7 @@ run_figure         the base class of figures of a run, those of users included
 figures/           the pictures and charts of runs and of studies
 film/              films and stills of runs
 tables/            rows and cells, for every output
-narrative/         results in words
+findings/          what is worth saying of a run, as data, and the words;  narrative/  results of studies in words
 html               the pages, rendered from templates/
 terminal           results on the terminal
 """

@@ -12,7 +12,8 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.plots import Plots, labelled
-from mast_zenoh.report.narrative.run import result
+from mast_zenoh.report.findings import outcome
+from mast_zenoh.report.findings.words import text
 from mast_zenoh.report.tables.scores import as_markdown, as_rich, score_table
 from mast_zenoh.run_folder import reading
 from mast_zenoh.runs.run import Run
@@ -66,7 +67,7 @@ class Comparison:
         """For each run the largest difference from the first, after what happened to driven cars, in a line."""
         reference = Reference(self._folders[self._reference], self._reference)
         others = [(label, run) for label, run in self._folders.items() if label != self._reference]
-        return "\n".join(f"{label}: {result(run, reference)}." for label, run in others)
+        return "\n".join(f"{label}: {text(run, outcome(run, reference))}." for label, run in others)
 
     @property
     def plot(self) -> Plots:

@@ -74,6 +74,11 @@ def same_ways(run: Run, other: Run) -> bool:
     return cars == others and all(_same_way(run, other, car) for car in cars)
 
 
+def of_errors(run: Run, reference: Reference | None) -> Reference | None:
+    """The run over which errors are compared; None where driven cars go another way: by the run's own measurements."""
+    return reference if reference is None or same_ways(run, reference.run) else None
+
+
 def _same_way(run: Run, other: Run, car: str) -> bool:
     courses = [course for each in (run, other) if (course := course_of(each, car)) is not None]
     if len(courses) < 2:

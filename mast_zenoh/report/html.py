@@ -30,10 +30,13 @@ from mast_zenoh.report.figures.of_run import (
     user_figures,
 )
 from mast_zenoh.report.figures.view import PANELS, check_frame, choose_common_frame, choose_frame, frame_view, settled
-from mast_zenoh.report.narrative.adversaries import attack_description
-from mast_zenoh.report.narrative.changes import largest_change
-from mast_zenoh.report.narrative.driven import car_sentences
-from mast_zenoh.report.narrative.run import headline, reading, reference_status, study_headline, study_reading
+from mast_zenoh.report.findings import details, headline, of_compared
+from mast_zenoh.report.findings.adversaries import attacks, limits
+from mast_zenoh.report.findings.cars import of_cars
+from mast_zenoh.report.findings.changes import largest_change
+from mast_zenoh.report.findings.defence import of_pictures
+from mast_zenoh.report.findings.results import unsound
+from mast_zenoh.report.findings.words import defence_line, said, text
 from mast_zenoh.report.narrative.study import (
     NO_CHANGE,
     compare,
@@ -56,10 +59,9 @@ from mast_zenoh.report.tables.of_run import (
     latency_tables,
     nees_table,
     suspension_table,
-    trust_sentences,
     undecided_table,
 )
-from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences, picture_table
+from mast_zenoh.report.tables.pictures import picture_table
 from mast_zenoh.report.tables.scores import Cell, ScoreTable, Value, number, score_table, signed
 from mast_zenoh.report.tables.study import difference_title, sections, side_by_side
 from mast_zenoh.report.tables.text_table import TextTable
@@ -246,6 +248,7 @@ def write_study_report(
     chosen = choose_common_frame(list(folders.values()), folders[reference], estimate)
     frame_views = {label: _view_to_show(run, frame, chosen) for label, run in folders.items()}
     table = _scores(folders, reference)
+    title, sentences = of_compared(folders, Reference(folders[reference], reference))
     pages: list[dict[str, Any]] = []
     for label, run in folders.items():
         page, path = _write_run(FigureContext(run, frame_views[label]), study=study_folder)
@@ -264,8 +267,8 @@ def write_study_report(
         "title": "Runs compared",
         "viewer": viewer,
         "problems": problems,
-        "headline": study_headline(folders, table),
-        "reading": study_reading(folders, table),
+        "headline": title,
+        "reading": sentences,
         "facts": facts_of_compared(folders),
         "figures": figures,
         **_score_rows(table),
@@ -287,8 +290,8 @@ def _driven(folders: tuple[Path, Path] | None) -> tuple[list[str], dict[str, Ren
     run = Run(folders[0])
     reference = comparison.reference(run, folders[1])
     drawn = rendered(Driven(), FigureContext(run, None, reference=reference))
-    sentences = [*(f"{text}." for text in car_sentences(run, reference))]
-    return [*attack_description(run), *sentences], {} if drawn is None else {drawn.name: drawn}
+    happened = [*attacks(run), *of_cars(run, reference)]
+    return [f"{each}." for each in said(run, happened)], {} if drawn is None else {drawn.name: drawn}
 
 
 def _view_to_show(run: Run, frame: int | None, common: int | None) -> Frame | None:
@@ -326,16 +329,17 @@ def _write_run(
     save_user_figures(own, run.path / "figures")
     shown_runs = {run.name: run} | ({reference.name: reference.run} if reference is not None else {})
     viewer, problems = _viewer(shown_runs, context.view.index if context.view else None)
+    limited = limits(run, reference)
     content = {
         "title": f"Run {run.files.record.get('id', run.name)}",
         "headline": headline(run, reference),
-        "attack": attack_description(run),
-        "reading": reading(run, reference),
+        "attack": _first(said(run, attacks(run))),
+        "reading": text(run, details(run, reference)),
         "facts": facts(run) + ([f"compared with {reference.name}"] if reference else []),
         "status": run.files.record.get("status", "unknown"),
         "message": run.files.record.get("message"),
         "failures": failure_lines(run),
-        "reference_status": reference_status(reference),
+        "reference_status": text(run, unsound(reference)).removesuffix(":"),
         "notices": [f"{notice['kind']}: {notice['text']}" for notice in run.files.record.get("notices", ())],
         "missing": (*run.files.missing, *problems),
         "back": _relative(study / "report.html", run.path) if study is not None else None,
@@ -345,15 +349,16 @@ def _write_run(
         **(_score_rows(scores) if run.files.summary else {"rows": []}),
         "confidence": confidence_tables(run),
         "pictures": picture_table(run),
-        "of_pictures": [*picture_sentences(run), *channel_sentences(run)],
+        "of_pictures": text(run, of_pictures(run)),
         "interposers": interposers(run),
         "suspensions": suspension_table(run),
         "undecided": undecided_table(run),
         "conduct": conduct_table(run),
-        "trust": trust_sentences(run),
-        "achieved": achieved_table(run, reference.run if reference else None),
+        "trust": defence_line(run),
+        "achieved": achieved_table(run, limited),
+        "limited": [(each.who[0], *said(run, [each], capitals=False)) for each in limited],
         "driven": driven_table(run, reference.run, reference.name) if reference else driven_table(run),
-        "cars": car_sentences(run, reference),
+        "cars": text(run, of_cars(run, reference)),
         "driving": driving_table(run, reference.run, reference.name) if reference else driving_table(run),
         "effects": WITH_COLUMN,
         "bad_verdicts": BAD,
@@ -371,6 +376,15 @@ def _write_run(
         "timings": json.dumps(run.files.record["timings"], indent=2) if run.files.record.get("timings") else None,
     }
     return content, render("run.html.j2", content, run.path, run.worded)
+
+
+#: Adversaries that the first paragraph of a page describes; the table has all.
+_MOST_DESCRIBED = 3
+
+
+def _first(sentences: list[str]) -> str:
+    more = f" {len(sentences) - _MOST_DESCRIBED} more are in the table of interposers."
+    return ". ".join(sentences[:_MOST_DESCRIBED]) + "." + more * (len(sentences) > _MOST_DESCRIBED)
 
 
 def _relative(path: Path, folder: Path) -> str:

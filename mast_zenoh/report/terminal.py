@@ -10,14 +10,14 @@ from rich.markup import escape
 
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.narrative.adversaries import explanations
-from mast_zenoh.report.narrative.changes import effects, plural
-from mast_zenoh.report.narrative.driven import car_sentences
-from mast_zenoh.report.narrative.run import defence_sentence, headline, reference_status, status
-from mast_zenoh.report.tables.of_run import causes_as_rich, check_lines, nees_as_rich, suspension_lines, undecided_lines
-from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences
+from mast_zenoh.report.findings import headline
+from mast_zenoh.report.findings.adversaries import attacks, limits
+from mast_zenoh.report.findings.cars import of_cars
+from mast_zenoh.report.findings.defence import of_pictures, periods
+from mast_zenoh.report.findings.results import status, unsound
+from mast_zenoh.report.findings.words import defence_line, said, text
+from mast_zenoh.report.tables.of_run import causes_as_rich, check_lines, nees_as_rich
 from mast_zenoh.report.tables.scores import as_rich, score_table
-from mast_zenoh.runs.interposers import BAD, interposers
 from mast_zenoh.runs.run import Run
 
 
@@ -38,8 +38,8 @@ def show(console: Console, runs: Mapping[str, Path]) -> None:
     for label, run in folders.items():
         prefix = f"{label}: " if len(runs) > 1 else ""
         _show_lines(console, prefix, run)
-        if defence := defence_sentence(run):
-            console.print(escape(f"{prefix}{run.worded(defence)}"), highlight=False)
+        if defence := defence_line(run):
+            console.print(escape(f"{prefix}{defence}."), highlight=False)
 
 
 def show_run(console: Console, run_folder: Path, against: Path | None = None) -> None:
@@ -54,16 +54,15 @@ def show_run(console: Console, run_folder: Path, against: Path | None = None) ->
 def show_driven(console: Console, run_folder: Path, twin: Path) -> None:
     """Print what happened to the driven cars of a run, in one line. twin: the folder of the same run without attack"""
     run = Run(run_folder)
-    sentences = car_sentences(run, comparison.reference(run, twin))
-    if sentences:
-        console.print(escape(f"{run.name}: {'. '.join(sentences)}."), highlight=False)
+    if happened := text(run, of_cars(run, comparison.reference(run, twin))):
+        console.print(escape(f"{run.name}: {happened}."), highlight=False)
 
 
 def failure(run_folder: Path) -> str:
     """How a run failed, in one line; empty: it did not."""
     run = Run(run_folder)
-    text, message = status(run), str(run.files.record.get("message") or "")
-    return f"{text}: {message}" if text and message else text
+    failed, message = text(run, status(run)), str(run.files.record.get("message") or "")
+    return f"{failed}: {message}" if failed and message else failed
 
 
 def show_loaded(console: Console, run: Run, reference: Reference | None = None) -> None:
@@ -73,15 +72,14 @@ def show_loaded(console: Console, run: Run, reference: Reference | None = None) 
     table = score_table(metrics, agent=run.ego or "ego", reference=reference.name if reference else None)
     console.print(as_rich(table))
     _show_causes(console, {run.name: run}, run.ego or "ego")
-    _show_lines(console, "", run, reference.run if reference else None)
-    if unsound := reference_status(reference):
-        text = f"warning: {unsound}: the differences may be wrong"
-        console.print(text, markup=False, highlight=False, style="bold yellow")
+    _show_lines(console, "", run, reference)
+    for warning in said(run, unsound(reference), capitals=False):
+        line = f"warning: {warning} the differences may be wrong"
+        console.print(line, markup=False, highlight=False, style="bold yellow")
     console.print(escape(f"{headline(run, reference)}."), highlight=False, style="bold")
-    if cars := car_sentences(run, reference):
-        console.print(escape(f"{'. '.join(cars)}."), highlight=False)
-    if defence := defence_sentence(run):
-        console.print(escape(run.worded(defence)), highlight=False)
+    for line in (text(run, of_cars(run, reference)), defence_line(run)):
+        if line:
+            console.print(escape(f"{line}."), highlight=False)
 
 
 def _show_causes(console: Console, runs: Mapping[str, Run], agent: str) -> None:
@@ -92,17 +90,20 @@ def _show_causes(console: Console, runs: Mapping[str, Run], agent: str) -> None:
         console.print(causes)
 
 
-def _show_lines(console: Console, label: str, run: Run, reference: Run | None = None) -> None:
+#: Suspensions and undecided agents that have a line.
+_MOST_JUDGED = 8
+
+
+def _show_lines(console: Console, label: str, run: Run, reference: Reference | None = None) -> None:
     """Print what interposers did, why it had limited effect, and every check."""
-    lines = []
-    notable = [each for each in interposers(run) if not each.is_link or each.verdict in BAD]
-    why = explanations(run, reference)
-    for each in notable:
-        bad = f"; {each.verdict}" if each.verdict in BAD else ""
-        verdict = f"; its handlers failed in {plural(each.failed_frames, 'frame')}" if each.failed_frames else bad
-        measured = "not measured" if each.effects is None else effects(each)
-        lines.append(f"{each.description} on {each.place}: {measured}{verdict}")
-        lines += [f"  limited effect: {reason}" for reason in why.get(each.name, ()) if each.changed]
-    lines += [*picture_sentences(run), *channel_sentences(run)]
-    for line in (*lines, *suspension_lines(run), *undecided_lines(run), *check_lines(run.files.checks)):
-        console.print(escape(f"{label}{run.worded(line)}"), highlight=False)
+    lines, limited = [], limits(run, reference)
+    for each in [each for each in attacks(run) if each.kind != "adversaries"]:
+        lines += said(run, [each], capitals=False)
+        why = [reason for reason in limited if each.kind == "attack" and each.value and reason.who == each.who]
+        lines += [f"  limited effect: {reason}" for reason in said(run, why, capitals=False)]
+    judged = said(run, periods(run), capitals=False)
+    lines += [*said(run, of_pictures(run)), *judged[:_MOST_JUDGED]]
+    if len(judged) > _MOST_JUDGED:
+        lines.append(f"  and {len(judged) - _MOST_JUDGED} agents more, see the report")
+    for line in (*lines, *check_lines(run.files.checks)):
+        console.print(escape(f"{label}{line}"), highlight=False)

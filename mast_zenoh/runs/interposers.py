@@ -101,8 +101,11 @@ class Interposer:
 
     @property
     def description(self) -> str:
-        """Its name, and its first frame if inserted live."""
-        return f"{self.name} (inserted live in frame {self.live})" if self.live is not None else self.name
+        """Its name, and its frames if inserted live."""
+        if self.live is None:
+            return self.name
+        frames = f"frame {self.live}" if self.released is None else f"frames {self.live} to {self.released - 1}"
+        return f"{self.name} (inserted live in {frames})"
 
 
 def interposers(run: Run) -> tuple[Interposer, ...]:

@@ -65,8 +65,8 @@ def test_members_of_returned_objects_are_pinned(name: str) -> None:
 
 def test_members_of_a_run_are_pinned() -> None:
     assert " ".join(sorted(OF_A_RUN)) == (
-        "agent agents animate attacks driven driving export headline id messages metrics name objects picture plot "
-        "record report running seed snapshot status summary targets trust trust_objects truth"
+        "agent agents animate attacks driven driving export findings headline id messages metrics name objects "
+        "picture plot record report running seed snapshot status summary targets trust trust_objects truth"
     )
     assert {*OF_A_RUN} <= {*dir(mast.Run)}
 

@@ -14,7 +14,7 @@ import pytest
 from mast_zenoh import run_folder
 from mast_zenoh.errors import NotRunning
 from mast_zenoh.launch import live_interception, liveness
-from mast_zenoh.report.narrative.run import status
+from mast_zenoh.report.findings.results import status
 from mast_zenoh.runs.run import Run
 
 SAYS_WHO = (
@@ -90,6 +90,6 @@ def test_every_tool_that_reads_the_folder_reports_a_killed_run(tmp_path: Path) -
     run_folder.write_json(tmp_path / "run.json", record | {"launcher": liveness.identity() | {"began": "1"}})
     run = Run(tmp_path)
     assert run.files.record["status"] == "killed"
-    assert "cut off" in status(run)
+    assert [each.what for each in status(run)] == ["killed"]
     with pytest.raises(NotRunning, match="the run is over: killed"):
         live_interception.release(tmp_path, name="x")

@@ -22,7 +22,7 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.replay.cut import Place, ReplayedMesh, cut
 from mast_zenoh.report import html
 from mast_zenoh.report.comparison import reference
-from mast_zenoh.report.narrative.run import result
+from mast_zenoh.report.findings import outcome
 from mast_zenoh.run_folder.recording.difference import compare
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runs.run import Run
@@ -165,8 +165,8 @@ def test_unchanged_nodes_compute_the_recorded_picture(
     assert not run.record["nodes"]["broker"]["rejected"]
     assert not (run.folder / "played").exists()
     if (name, place) == ("uncoordinated", "agents"):
-        sentence = result(loaded := Run(run.folder), reference(loaded, recorded(name)))
-        assert sentence.endswith("but every score that both runs have equals that of uncoordinated")
+        *_, last = outcome(loaded := Run(run.folder), reference(loaded, recorded(name)))
+        assert (last.kind, last.what, last.than) == ("unchanged", "shared scores", "uncoordinated")
 
 
 def test_no_order_of_delivery_changes_the_picture(recorded: Callable[[str], Path]) -> None:

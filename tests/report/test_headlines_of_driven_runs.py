@@ -12,12 +12,11 @@ from browser import chromium
 from test_report_of_driven_cars import BRAKED, course, happened
 
 from mast_zenoh.report.comparison import Reference, same_ways
+from mast_zenoh.report.findings import details, headline, of_compared, outcome
+from mast_zenoh.report.findings.adversaries import attacks, effects, limits
+from mast_zenoh.report.findings.cars import worst
+from mast_zenoh.report.findings.words import text
 from mast_zenoh.report.html import write_page
-from mast_zenoh.report.narrative.adversaries import attack_description, explanations
-from mast_zenoh.report.narrative.changes import effects
-from mast_zenoh.report.narrative.consequences import consequence
-from mast_zenoh.report.narrative.run import headline, reading, study_headline, study_reading
-from mast_zenoh.report.tables.scores import score_table
 from mast_zenoh.runs.events import first_changes
 from mast_zenoh.runs.interposers import interposers
 from mast_zenoh.runs.run import Run
@@ -47,18 +46,18 @@ def driven(run_of: RunOf) -> Driven:
 def test_collisions_come_before_errors(driven: Driven, run_of: RunOf) -> None:
     run, twin = driven(collisions=[HIT, HIT], needless_brakes=2)
     without_drivers = headline(run_of("uncoordinated"), Reference(run_of(), "unattacked"))
-    assert headline(run, twin) == f"The ego hits two objects (unattacked: none). {without_drivers}"
-    assert headline(run).startswith("The ego hits two objects. Two of four roadside sensors compromised: ")
+    assert headline(run, twin) == f"The ego hits 2 objects (unattacked: 0). {without_drivers}"
+    assert headline(run).startswith("The ego hits 2 objects. 2 of 4 roadside sensors compromised: ")
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"needless_brakes": 1}, "The ego brakes needlessly once (unattacked: never)"),
-        ({"progress_m": 52.4}, "The ego drives 52 m instead of 93 m (unattacked)"),
+        ({"needless_brakes": 1}, "The ego brakes needlessly 1 time (unattacked: 0)"),
+        ({"progress_m": 52.4}, "The ego drives 52 m (unattacked: 93 m)"),
         (
             {"needless_brakes": 3, "progress_m": 8.0},
-            "The ego brakes needlessly three times (unattacked: never) and drives 8 m instead of 93 m",
+            "The ego brakes needlessly 3 times (unattacked: 0). The ego drives 8 m (unattacked: 93 m)",
         ),
         ({"progress_m": 92.5}, ""),
     ],
@@ -67,25 +66,26 @@ def test_without_collisions_needless_brakes_and_the_way_come_first(
     changes: dict[str, Any], words: str, driven: Driven
 ) -> None:
     run, twin = driven(**changes)
-    assert consequence(run, twin) == words
-    assert headline(run, twin).startswith(f"{words}. " if words else "Two of four roadside sensors compromised: ")
+    assert text(run, worst(run, twin)) == words
+    assert headline(run, twin).startswith(f"{words}. " if words else "2 of 4 roadside sensors compromised: ")
 
 
 @pytest.mark.parametrize("damaged", [7, [None], {"ego": 7}, {"ego": {"collisions": 1}}, {"ego": {"progress_m": "far"}}])
 def test_damaged_consequences_are_left_out(damaged: Any, driven: Driven) -> None:
     run, twin = driven()
     run.files.summary["driven"] = damaged
-    assert consequence(run, twin) == ""
+    assert worst(run, twin) == []
 
 
 def test_errors_of_a_car_elsewhere_are_attributed_by_the_run_alone(driven: Driven) -> None:
     run, twin = driven(stops=True, **{key: BRAKED[key] for key in ("needless_brakes", "progress_m")})
     assert not same_ways(run, twin.run)
-    own = headline(run).partition(". ")[2]
-    assert " due to adversary_" in own
-    assert headline(run, twin).partition(". ")[2] == (f"{own}; what else differs in errors comes from the changed way")
-    assert reading(run, twin) == reading(run)
-    assert explanations(run, twin.run) == explanations(run)
+    (own,) = (each for each in outcome(run) if each.kind == "change")
+    assert own.cause == ("adversary_1", "adversary_2")
+    assert own in outcome(run, twin)
+    assert (outcome(run, twin)[-1].kind, outcome(run, twin)[-1].what) == ("unattributed", "way")
+    assert details(run, twin) == details(run)
+    assert limits(run, twin) == limits(run)
 
 
 def test_no_attack_is_blamed_for_errors_that_come_from_the_changed_way(run_of: RunOf, driven: Driven) -> None:
@@ -94,10 +94,9 @@ def test_no_attack_is_blamed_for_errors_that_come_from_the_changed_way(run_of: R
     run.files.driven = course(hard=True)
     run.files.summary["driven"] = {"ego": happened(progress_m=29.0)}
     run.files.summary["agents"]["ego"]["picture"]["fp"]["mean"] += 5.0
-    words = headline(run, twin)
-    assert words.startswith("The ego drives 29 m instead of 93 m (unattacked). The common picture misses ")
-    assert "due to" not in words
-    assert words.endswith("what else differs in errors comes from the changed way")
+    told = outcome(run, twin)
+    assert [(each.kind, each.what) for each in told] == [("car", "way"), ("missed", ""), ("unattributed", "way")]
+    assert (told[0].value, told[0].other, told[0].than) == (29.0, 93.0, "unattacked")
 
 
 def test_a_car_whose_course_is_not_known_counts_as_elsewhere(driven: Driven) -> None:
@@ -115,11 +114,10 @@ def test_the_headline_of_compared_runs_begins_with_the_worst_that_happened(drive
     run, twin = driven(stops=True, collisions=[HIT], progress_m=40.0)
     slow, _ = driven(progress_m=10.0)
     runs = {"unattacked": twin.run, "slow": slow, "hit": run}
-    summaries = {label: each.files.summary for label, each in runs.items()}
-    table = score_table(summaries, agent="ego", reference="unattacked")
-    words = study_headline(runs, table)
-    assert words.startswith("hit: the ego hits one object (unattacked: none). Two of four roadside sensors compromised")
-    assert any(text == f"Run hit: {headline(run, twin)}." for text in study_reading(runs, table))
+    title, sentences = of_compared(runs, Reference(twin.run, "unattacked"))
+    assert title == f"hit: {headline(run, twin)}"
+    assert title.startswith("hit: The ego hits 1 object (unattacked: 0). 2 of 4 roadside sensors compromised")
+    assert any(each.startswith(title) for each in sentences)
 
 
 def test_braking_by_the_rule_is_not_told_as_what_the_driver_did(driven: Driven) -> None:
@@ -127,13 +125,14 @@ def test_braking_by_the_rule_is_not_told_as_what_the_driver_did(driven: Driven) 
     shares = {"needless_brake_share": 0.59, "needless_brake_share_attack": 0.59, "missed_brake_share": 0.2}
     run.files.summary["driving"] = {"ego": {"mission": shares}}
     twin.run.files.summary["driving"] = {"ego": {"mission": dict.fromkeys(shares, 0.0)}}
-    assert "brake" not in " ".join(reading(run, twin))
+    assert not [each for each in details(run, twin) if each.kind == "braking"]
     page = write_page(run, reference=twin).read_text()
     section = page.partition('<h2 id="driving">')[2]
     assert section.startswith("What it would mean for driving, by a rule</h2>\n<p>When the ego would brake by the rule")
     assert "59.0% by attack" in section, "the table still has it"
     del run.files.summary["driven"], twin.run.files.summary["driven"]
-    assert "Because of attacks, the ego with the picture brakes needlessly in 59.0%" in " ".join(reading(run, twin))
+    (braking,) = (each for each in details(run, twin) if each.kind == "braking")
+    assert (braking.what, braking.value) == ("needless", 0.59)
     assert '<h2 id="driving">What it would mean for driving</h2>\n<div' in write_page(run, reference=twin).read_text()
 
 
@@ -162,8 +161,7 @@ def test_only_braking_by_the_rule_differs(driven: Driven, run_of: RunOf) -> None
     run.files.driven = course(hard=False)
     run.files.summary["driving"] = {"ego": {"mission": {"needless_brake_share_attack": 0.5}}}
     twin.run.files.summary["driving"] = {"ego": {"mission": {"needless_brake_share_attack": 0.0}}}
-    words = "Of the scores, only braking by the rule of docs/metrics.md differs from unattacked: "
-    assert headline(run, twin).startswith(words)
+    assert [(each.kind, each.what) for each in outcome(run, twin)] == [("unchanged", "driving"), ("missed", "")]
 
 
 def test_what_the_ego_acts_on_is_not_said_to_be_the_same_if_its_errors_are_as_many(
@@ -177,11 +175,11 @@ def test_what_the_ego_acts_on_is_not_said_to_be_the_same_if_its_errors_are_as_ma
     twin.run.files.summary["agents"]["ego"]["picture_received"] = deepcopy(ego["picture"])
     ego["picture_received"] = deepcopy(ego["picture"])
     ego["picture_received"]["fp"]["mean"] += 4.0
-    assert headline(run, twin).endswith("; what the ego acts on has no more errors")
+    assert ("unchanged", "mission") in [(each.kind, each.where) for each in outcome(run, twin)]
 
 
-@pytest.mark.parametrize(("number", "tell"), [(1, "1 message tells"), (25, "25 messages tell")])
-def test_changed_commands_have_words_of_their_own(number: int, tell: str, driven: Driven) -> None:
+@pytest.mark.parametrize("number", [1, 25])
+def test_changed_commands_have_words_of_their_own(number: int, driven: Driven) -> None:
     run, twin = driven(stops=True, progress_m=29.0)
     run.files.summary["agents"] = twin.run.files.summary["agents"]
     wire = {"key": "agent/ego/command", "message": "command", "subject": "ego", "interposers": ["adversary_1"]}
@@ -193,11 +191,11 @@ def test_changed_commands_have_words_of_their_own(number: int, tell: str, driven
     table["message"] = np.where(own, "command", table["message"]).astype(object)
     table["wire"] = np.where(own, "agent/ego/command", table["wire"]).astype(object)
     table["effect"] = np.where(own, "reframed", table["effect"]).astype(object)
-    assert f"In the commands to ego, adversary_1 changed what {tell} the car to do" in attack_description(run)[0]
     (adversary,) = (each for each in interposers(run) if each.name == "adversary_1")
-    assert effects(adversary) == f"{number} command{'s' * (number > 1)} changed"
+    assert effects(adversary) == (f"{number} command{'s' * (number > 1)} changed",)
+    assert attacks(run)[0].where == "agent/ego/command"
     assert adversary.other == f"{number} commands changed"
     columns = ("adversary", "kind", "object", "frame", "error_m_centre", "error_m_ego")
     run.files.targets = dict.fromkeys(columns, np.zeros(0))
-    assert "adversary_1" not in explanations(run), "what commands do is not in errors"
+    assert ("adversary_1",) not in [each.who for each in limits(run)], "what commands do is not in errors"
     assert "adversary_1 changes its first command to ego" in [event.text for event in first_changes(run)]

@@ -13,10 +13,10 @@ from rich.console import Console
 
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.over_time import driving_over_time
+from mast_zenoh.report.findings import changes, details
+from mast_zenoh.report.findings.adversaries import limits
+from mast_zenoh.report.findings.words import said
 from mast_zenoh.report.html import write_page, write_report
-from mast_zenoh.report.narrative import changes
-from mast_zenoh.report.narrative.adversaries import explanations
-from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.tables.of_run import achieved_table, driving_table
 from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.report.terminal import show_loaded
@@ -43,14 +43,16 @@ def targets(kind: str, n: int = 10, **columns: Any) -> dict[str, np.ndarray]:
     return table | names | {"frame": np.arange(20, 20 + n)}
 
 
-def why(run: Run, table: dict[str, np.ndarray] | None, blamed_for: str = "", **achieved: Any) -> str:
-    """The reasons of adversary_1; blamed_for: the only score changed by attacks."""
+def why(run: Run, table: dict[str, np.ndarray] | None, blamed_for: str = "", **achieved: Any) -> list[tuple[Any, ...]]:
+    """The reasons of adversary_1: what it did, why, and how much; blamed_for: the only score changed by attacks."""
     run.files.summary["achieved"] = {"adversary_1": achieved, "all": achieved}
     for summary in run.files.summary["agents"]["ego"].values():
         for key in ("fn", "fp"):
             summary[f"{key}_split"] = {"fault": 0.0, "attack": 2.0 if key == blamed_for else 0.0, "natural": 0.0}
     run.files.targets = table
-    return "; ".join(explanations(run).get("adversary_1", ()))
+    own = [each for each in limits(run) if each.who == ("adversary_1",)]
+    assert len(said(run, own)) == len(own), "each reason has words"
+    return [(each.what, *each.cause, each.where if each.value is None else round(each.value, 2)) for each in own]
 
 
 @pytest.mark.parametrize(("error_m", "counts"), [(1.5, True), (15.0, False)])
@@ -62,17 +64,17 @@ def test_duplicate_beyond_the_gate_is_false_and_not_in_the_rmse(attacked: Run, e
 
 def test_table_has_a_row_per_adversary_and_one_for_all(attacked: Run, run_of: RunOf) -> None:
     attacked.files.summary["achieved"] = {"adversary_1": ACHIEVED, "adversary_2": ACHIEVED, "all": ACHIEVED}
-    rows = [line.cells for line in achieved_table(attacked)[0].lines]
+    rows = [line.cells for line in achieved_table(attacked).lines]
     assert [row[0] for row in rows] == ["adversary_1", "adversary_2", "all together"]
     inserted, hidden, moved = ("4", "100% / 50%", f"9.2 / {DASH}"), ("0", f"{DASH} / {DASH}"), ("2", "0.50 / 0.25")
     assert rows[0][1:] == (*inserted, *hidden, *moved, f"0.2 / {DASH}", "3 / 0")
-    assert achieved_table(run_of())[0].lines == [], "no adversary"
+    assert achieved_table(run_of()).lines == [], "no adversary"
 
 
 IDLE = {"role": "adversary", "wires": ["agent/infra_1/detections"], "messages": 40, "effects": {}}
 IDLE |= {"reports": 0, "agreement": "nothing to report", "unreported": 0, "unfounded": 0}
-UNCHANGED = "it passed all 40 messages on unchanged"
-LATE = "its attack was to begin at 60 s, after the end of the run at 4.0 s"
+UNCHANGED = ("", "idle", 40)
+LATE = ("", "late", 60.0)
 
 
 def idle(received: int = 40) -> dict[str, Any]:
@@ -92,22 +94,24 @@ def of_node(**changes: Any) -> dict[str, Any]:
     ("files", "reason"),
     [
         (idle(), UNCHANGED),
-        (idle(received=0), "no message reached it"),
+        (idle(received=0), ("", "idle", 0)),
         (idle() | starting_at(60.0), LATE),
         (idle() | starting_at(3.5), UNCHANGED),
         (
             idle() | of_node(failures=[{"handler": "detections", "count": 3}]),
-            "it changed nothing: detections failed 3 times",
+            ("", "failed", "detections failed 3 times"),
         ),
         (
             idle() | of_node(failures=[], exit=1, ended="exit code 1"),
-            "it crashed before it changed anything: exit code 1",
+            ("", "failed", "exit code 1"),
         ),
-        ({"metrics": {"interposers": ...}}, "what it did was not measured"),
+        ({"metrics": {"interposers": ...}}, ("", "unmeasured", "")),
     ],
 )
-def test_reasons_for_an_adversary_that_changed_nothing(run_of: RunOf, files: dict[str, Any], reason: str) -> None:
-    assert why(run_of("uncoordinated", **files), None) == reason
+def test_reasons_for_an_adversary_that_changed_nothing(
+    run_of: RunOf, files: dict[str, Any], reason: tuple[Any, ...]
+) -> None:
+    assert why(run_of("uncoordinated", **files), None) == [reason]
 
 
 NOT_ACCEPTED = {"inserted": 1, "inserted_share_centre": 0.0, "inserted_share_ego": 0.0}
@@ -118,48 +122,46 @@ NOT_MOVED |= {f"{kind}_share_{judge}": 0.0 for kind in ("moved", "altered") for 
 NOT_MOVED |= {"moved_error_m_centre": 0.4, "altered_error_m_centre": 0.4}
 NOWHERE = {"judged_centre": False, "judged_ego": False}
 BESIDE = {"x": 30.0, "y": 40.0}
-OFF = "the tracks of what it {0} are 0.40 m off on average, which does not count as a displacement"
-SEEN = "removed: other agents still saw what it removed, all the time"
+SEEN = ("removed", "seen by others", 1.0)
 
 
 @pytest.mark.parametrize(
-    ("table", "achieved", "reason"),
+    ("table", "achieved", "reasons"),
     [
+        (targets("inserted", x=500.0, **NOWHERE), NOT_ACCEPTED, [("inserted", "not scored", "")]),
+        (targets("inserted", x=500.0, judged_ego=False), NOT_ACCEPTED, [("inserted", "rejected", "")]),
+        (targets("inserted", **BESIDE), NOT_ACCEPTED, [("inserted", "rejected", "")]),
+        (targets("inserted", **BESIDE), AT_CENTRE, [("inserted", "not adopted", "")]),
+        (targets("inserted", **BESIDE), AT_CENTRE | {"inserted_share_ego": 1.0}, []),
+        (targets("removed", seen_by_others=True), NOT_HIDDEN, [SEEN]),
+        (targets("removed", object=-1), NOT_HIDDEN, [("removed", "not scored", "")]),
+        (targets("removed", **NOWHERE), NOT_HIDDEN, [("removed", "not scored", "")]),
+        (targets("removed"), NOT_HIDDEN, [("removed", "tracked", 0.0)]),
+        (targets("removed"), NOT_HIDDEN | {"hidden_time_share_centre": 0.25}, [("removed", "tracked", 0.25)]),
+        (targets("removed", seen_by_others=True), NOT_HIDDEN | {"hidden_share_ego": 1.0}, []),
         (
-            targets("inserted", x=500.0, **NOWHERE),
-            NOT_ACCEPTED,
-            "inserted: what it inserted was out of range of every agent (100 m)",
-        ),
-        (targets("inserted", x=500.0, judged_ego=False), NOT_ACCEPTED, "the fusion rejected"),
-        (targets("inserted", **BESIDE), NOT_ACCEPTED, "the fusion rejected everything"),
-        (targets("inserted", **BESIDE), AT_CENTRE, "the ego did not adopt it"),
-        (targets("inserted", **BESIDE), AT_CENTRE | {"inserted_share_ego": 1.0}, ""),
-        (targets("removed", seen_by_others=True), NOT_HIDDEN, SEEN),
-        (targets("removed", object=-1), NOT_HIDDEN, "what it removed was clutter, not part of the scene"),
-        (
-            targets("removed", **NOWHERE),
+            targets("removed", n=300) | {"seen_by_others": np.arange(300) > 29},
             NOT_HIDDEN,
-            "what it removed is not scored: no agent sees it, or it is out of range of every agent",
+            [("removed", "seen by others", 0.9)],
         ),
-        (targets("removed"), NOT_HIDDEN, "what it removed was still tracked"),
-        (targets("removed", seen_by_others=True), NOT_HIDDEN | {"hidden_share_ego": 1.0}, ""),
-        (
-            targets("removed", n=300) | {"seen_by_others": np.arange(300) > 0},
-            NOT_HIDDEN,
-            "other agents still saw what it removed, 99% of the time",
-        ),
-        (targets("moved", error_m_centre=0.4), NOT_MOVED, f"moved: {OFF.format('moved')}"),
-        (targets("altered", error_m_centre=0.4), NOT_MOVED, f"altered: {OFF.format('altered')}"),
-        (targets("moved", error_m_centre=0.4), NOT_MOVED | {"id_switches_centre": 2}, ""),
-        (targets("altered", error_m_centre=0.4), NOT_MOVED | {"id_switches_ego": 2}, ""),
+        (targets("moved", error_m_centre=0.4), NOT_MOVED, [("moved", "too little", 0.4)]),
+        (targets("altered", error_m_centre=0.4), NOT_MOVED, [("altered", "too little", 0.4)]),
+        (targets("moved", error_m_centre=0.4), NOT_MOVED | {"id_switches_centre": 2}, []),
+        (targets("altered", error_m_centre=0.4), NOT_MOVED | {"id_switches_ego": 2}, []),
     ],
 )
 def test_reasons_for_limited_effects(
-    attacked: Run, table: dict[str, np.ndarray], achieved: dict[str, Any], reason: str
+    attacked: Run, table: dict[str, np.ndarray], achieved: dict[str, Any], reasons: list[tuple[Any, ...]]
 ) -> None:
-    given = why(attacked, table, **achieved)
-    assert reason in given
-    assert bool(given) == bool(reason)
+    assert why(attacked, table, **achieved) == reasons
+
+
+def test_a_share_of_the_time_is_never_rounded_up_to_all_of_it(attacked: Run) -> None:
+    why(attacked, targets("removed", n=300) | {"seen_by_others": np.arange(300) > 0}, **NOT_HIDDEN)
+    assert any(
+        "other agents still saw what it removed, 99% of the time" in each.lower()
+        for each in said(attacked, limits(attacked))
+    )
 
 
 def test_objects_inserted_on_a_real_object_match_it(attacked: Run) -> None:
@@ -167,28 +169,16 @@ def test_objects_inserted_on_a_real_object_match_it(attacked: Run) -> None:
     assert truth is not None
     at = (truth["frame"] == 20) & (truth["kind"] == "truth") & (truth["estimator"] == "picture")
     beside = targets("inserted", n=1, x=float(truth["x"][at][0]) + 1.5, y=float(truth["y"][at][0]))
-    assert "within 2 m of a real object" in why(attacked, beside, **NOT_ACCEPTED)
+    assert why(attacked, beside, **NOT_ACCEPTED) == [("inserted", "on real objects", 1.0)]
     scorer = {"type": "Scorer", "assigner": {"type": "CenterDistanceAssigner", "gate_m": 0.5}}
     attacked.files.scenario["nodes"] = {"evaluator": {"config": {"scorer": scorer}}}
-    assert "the fusion rejected everything" in why(attacked, beside, **NOT_ACCEPTED)
+    assert why(attacked, beside, **NOT_ACCEPTED) == [("inserted", "rejected", "")]
 
 
 def test_reason_for_changes_in_unscored_frames(attacked: Run) -> None:
     attacked.files.summary["scored_frames"] = [0, 10]
-    reason = "everything that it did was in frames that are not scored"
-    assert why(attacked, targets("inserted", **BESIDE), **AT_CENTRE | {"inserted_share_ego": 1.0}) == reason
-
-
-@pytest.mark.parametrize("first_dropped", [15, 25])
-def test_dropped_messages_have_their_own_reasons(attacked: Run, first_dropped: int) -> None:
-    effects = attacked.files.effects
-    assert effects is not None
-    selected = (effects["interposer"] == "adversary_1") & (effects["effect"] == "removed")
-    dropped = selected & (effects["frame"] >= first_dropped)
-    effects["effect"] = np.where(dropped, "dropped", effects["effect"])
-    reason = "other agents still saw the objects in the messages that it dropped, all the time"
-    removed = f"{SEEN}; " if first_dropped > 15 else ""
-    assert why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN) == f"{removed}dropped: {reason}"
+    achieved = AT_CENTRE | {"inserted_share_ego": 1.0}
+    assert why(attacked, targets("inserted", **BESIDE), **achieved) == [("", "unscored", "")]
 
 
 def test_unreachable_estimates_show_dashes(attacked: Run) -> None:
@@ -202,7 +192,7 @@ def test_unreachable_estimates_show_dashes(attacked: Run) -> None:
         picture["interposers"].append(name)
         picture["legs"][0]["to"] = [name if node == "ego" else node for node in picture["legs"][0]["to"]]
         picture["legs"].append(leg)
-        both = [line.cells for line in achieved_table(Run.of(attacked.files))[0].lines]
+        both = [line.cells for line in achieved_table(Run.of(attacked.files)).lines]
         assert both[-1][2] == (f"{DASH} / 50%" if name == "adversary_2" else "100% / 50%")
     assert (both[0][2], both[0][7], both[0][9]) == (f"{DASH} / 50%", f"{DASH} / 0.25", f"{DASH} / 0")
 
@@ -228,20 +218,20 @@ def test_an_agent_whose_adversary_changes_the_same_object_does_not_see_it(
     assert scene is not None
     points = np.where(np.isin(scene.agent_names, seen_by), 10, 0) + 0 * scene.points
     reason = why(attacked.with_(scene=replace(scene, points=points)), table, **NOT_HIDDEN)
-    assert (SEEN in reason) == seen == ("other agents" in reason)
+    assert reason == [SEEN if seen else ("removed", "tracked", 0.0)]
 
 
 def test_adversary_before_another_agent_is_not_judged_by_the_ego(attacked: Run) -> None:
     legs = [{"key": "cc/picture/@tap/infra_1/0", "from": "adversary_1", "to": ["infra_1"], "before": "infra_1"}]
     attacked.files.wiring["wires"].append({"key": "cc/picture", "message": "picture", "legs": legs})
-    assert why(attacked, None) == "it sat on the picture's path to infra_1, not to the ego"
+    assert why(attacked, None) == [("", "elsewhere", "infra_1")]
 
 
 def test_terminal_and_page_show_limited_effects(attacked: Run) -> None:
     why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN)
     page = io.StringIO()
     show_loaded(Console(file=page, width=200), attacked)
-    assert f"  limited effect: {SEEN}\n" in page.getvalue()
+    assert "  limited effect: removed: other agents still saw what it removed, 100% of the time\n" in page.getvalue()
     html = write_page(attacked).read_text()
     assert "Changes with limited effect, and why" in html
     assert "no effect" not in page.getvalue() + html
@@ -251,22 +241,24 @@ def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attack
     boxes = attacked.files.objects
     assert boxes is not None
     boxes["by"] = np.where(boxes["outcome"] != "matched", "adversary_1", "").astype(object)
-    assert why(attacked, targets("removed"), "fn", **NOT_HIDDEN) == ""
-    assert why(attacked, targets("removed"), "fp", **NOT_HIDDEN).startswith("removed: "), "blamed for its insertions"
-    assert why(attacked, targets("inserted", **BESIDE), "fp", **NOT_ACCEPTED) == ""
+    assert why(attacked, targets("removed"), "fn", **NOT_HIDDEN) == []
+    assert why(attacked, targets("removed"), "fp", **NOT_HIDDEN), "blamed for its insertions"
+    assert why(attacked, targets("inserted", **BESIDE), "fp", **NOT_ACCEPTED) == []
     attacked.files.summary["interposers"]["adversary_1"]["effects"] = {"removed": 25}
-    assert why(attacked, targets("removed"), "fp", **NOT_HIDDEN) == "", "it only removed objects"
+    assert why(attacked, targets("removed"), "fp", **NOT_HIDDEN) == [], "it only removed objects"
 
 
 @pytest.mark.parametrize(
     ("tracked", "reason"),
     [
-        (10, "the ego sees what it removed itself, all the time"),
-        (9, "the ego sees what it removed itself, 90% of the time"),
-        (0, "what it removed was still tracked by the ego: tracks outlive a gap"),
+        (10, ("removed", "seen by the ego", 1.0)),
+        (9, ("removed", "seen by the ego", 0.9)),
+        (0, ("removed", "tracked", 0.0)),
     ],
 )
-def test_downlink_manipulations_are_judged_by_the_ego_alone(attacked: Run, tracked: int, reason: str) -> None:
+def test_downlink_manipulations_are_judged_by_the_ego_alone(
+    attacked: Run, tracked: int, reason: tuple[Any, ...]
+) -> None:
     objects, effects = attacked.files.objects, attacked.files.effects
     assert objects is not None
     assert effects is not None
@@ -274,7 +266,7 @@ def test_downlink_manipulations_are_judged_by_the_ego_alone(attacked: Run, track
     own = (objects["estimator"] == "local") & (objects["kind"] == "truth") & (objects["id"] == 7)
     seen = (objects["frame"] >= 20) & (objects["frame"] < 20 + tracked)
     objects["outcome"] = np.where(own, np.where(seen, "matched", "missed"), objects["outcome"]).astype(object)
-    assert why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN) == f"removed: {reason}"
+    assert why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN) == [reason]
 
 
 DRIVES = {
@@ -329,10 +321,8 @@ def test_unattributed_increase_of_needless_braking_is_reported(run_of: RunOf, at
         reference.files.summary["driving"] = {"ego": {"mission": {share: before, f"{share}_attack": 0.0}}}
         needless = driving_table(attacked, reference, "unattacked").lines[-1].cells[8]
         assert (f"{more} more than unattacked, not attributed" in needless) == bool(more)
-        often = f"The ego with the picture brakes needlessly in {more} of the scored frames"
-        sentences = reading(attacked, Reference(reference, "unattacked"))
-        assert (f"{often} more than unattacked, not attributed." in sentences) == bool(more)
-        assert any("not attributed" in each for each in sentences) == bool(more)
+        told = [each.value for each in details(attacked, Reference(reference, "unattacked")) if each.kind == "braking"]
+        assert told == [attack] * bool(attack)
 
 
 def test_needless_braking_is_drawn_when_it_happens(attacked: Run) -> None:
@@ -355,4 +345,4 @@ def test_needless_braking_is_drawn_when_it_happens(attacked: Run) -> None:
 def test_runs_without_measurements_have_unknown_achievements(run_of: RunOf) -> None:
     run = run_of("uncoordinated", metrics=dict.fromkeys(("achieved", "driving", "interposers"), ...))
     assert any("what attacks achieved is not known" in sentence for sentence in run.files.missing)
-    assert {why for _, why in achieved_table(run)[1]} == {"what it did was not measured"}
+    assert {each.cause for each in limits(run)} == {("unmeasured",)}

@@ -72,8 +72,8 @@ def test_the_page_has_the_split_the_checks_and_the_latency(attacked_and_faulted:
     page = write_report(attacked_and_faulted).read_text("utf-8")
     for heading in ("Causes of missed and false objects", "Checks", "Latency"):
         assert f">{heading}</h2>" in page
-    assert "0.75 a frame are missed because of links and faults, 0.25 because of attacks" in page
-    assert "Some checks failed: collation." in page
+    assert "Faults of the scenario: Partition infra_1 from 0.5 s and Kill infra_2 from 1 s" in page
+    assert "Some checks failed: collation" in page
     assert "2 tracks &lt;lost&gt;" in page
     assert "<strong>failed</strong>" in page
     assert "converged to the unfaulted one 0.4 s after the heal" in page

@@ -9,11 +9,10 @@ import pytest
 
 from mast_zenoh.report.figures.diagram import draw_wiring
 from mast_zenoh.report.figures.style import svg
+from mast_zenoh.report.findings.adversaries import attacks, effects, positions
+from mast_zenoh.report.findings.causes import reaches
+from mast_zenoh.report.findings.words import said
 from mast_zenoh.report.html import environment
-from mast_zenoh.report.narrative.adversaries import compromised
-from mast_zenoh.report.narrative.attribution import reaches
-from mast_zenoh.report.narrative.changes import effects
-from mast_zenoh.report.narrative.run import reading
 from mast_zenoh.report.tables.wiring import Spot, WireRow, all_wires, layout, wire_rows
 from mast_zenoh.runs.files import RunFiles
 from mast_zenoh.runs.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
@@ -93,7 +92,7 @@ def test_failures_and_crashes_but_no_intended_exits_take_precedence_over_reports
 ) -> None:
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
     assert only(run).verdict == verdict
-    assert not sentence or sentence in reading(run)
+    assert not sentence or sentence.removesuffix(".") in said(run, attacks(run))
     assert sentence or exit_expected(node)
 
 
@@ -112,14 +111,14 @@ def test_adversary_on_the_downlink_is_described_by_its_victim_alone() -> None:
     run = run_of([wire("cc/picture", ("mallory",), before="ego")], {"mallory": MEASURED | {"wires": ["cc/picture"]}})
     assert only(run).before == ("ego",)
     assert adversaries_by_agent(interposers(run)) == {"ego": ("mallory",)}
-    assert compromised(run) == "the picture's path to ego"
+    assert [each.where for each in positions(run)] == ["the path from the command centre to ego"]
     (row,) = wire_rows(run)
     assert row.before == {"mallory": ("ego",)}
     assert "<strong>mallory</strong> <small>(only before ego)</small>" in rendered_wires([row])
     assert only(run).place == "cc/picture only before ego"
     on_trunk = run_of([wire("cc/picture", ("mallory",))])
     assert only(on_trunk).place == "cc/picture"
-    assert compromised(on_trunk) == "the wire cc/picture"
+    assert [each.where for each in positions(on_trunk)] == ["the wire cc/picture"]
 
 
 def rendered_wires(rows: list[WireRow]) -> str:
@@ -162,7 +161,7 @@ def test_effects_distinguish_rows_objects_clutter_and_messages(
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED | {"effects": measured}})
     if manipulated is not None:
         run.files.targets = targets("mallory", *manipulated)
-    assert effects(only(run)) == words
+    assert ", ".join(effects(only(run))) == words
 
 
 LIVE = {"action": "intercept", "node": "mallory", "wires": ["agent/infra_1/tracks"], "frame": 44}
@@ -173,7 +172,7 @@ def test_interposer_removed_during_the_run_is_named_and_drawn() -> None:
     run = run_of([wire("agent/infra_1/tracks")], {"mallory": MEASURED}, interceptions=(LIVE, RELEASE))
     by_name = only(run)
     assert (by_name.live, by_name.released) == (44, 90)
-    assert by_name.description == "mallory (inserted live in frame 44)"
+    assert by_name.description == "mallory (inserted live in frames 44 to 89)"
     (row,) = wire_rows(run)
     assert row.intercepted
     assert row.when == {"mallory": "frames 44 to 89"}

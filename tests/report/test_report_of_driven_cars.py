@@ -19,8 +19,9 @@ from mast_zenoh.report.figures.style import THEMES
 from mast_zenoh.report.figures.window import Window
 from mast_zenoh.report.film.panels import DriveMarks
 from mast_zenoh.report.film.takes import Captions, Take
+from mast_zenoh.report.findings.cars import of_cars
+from mast_zenoh.report.findings.words import said
 from mast_zenoh.report.html import write_report
-from mast_zenoh.report.narrative.driven import car_sentences
 from mast_zenoh.report.tables.of_run import driven_table
 from mast_zenoh.run_folder.tables import write_table
 from mast_zenoh.runs.driven import course_of, reason_of, twin_course
@@ -87,52 +88,51 @@ def both(run_of: RunOf) -> tuple[Run, Reference]:
     return run, Reference(twin, "unattacked")
 
 
-def test_sentences_name_the_moment_the_object_and_the_adversary_of_a_brake(both: tuple[Run, Reference]) -> None:
+def told(run: Run, reference: Reference | None = None) -> list[str]:
+    return said(run, of_cars(run, reference))
+
+
+def test_findings_name_the_moment_the_object_and_the_adversary_of_a_brake(both: tuple[Run, Reference]) -> None:
     run, twin = both
-    assert car_sentences(run, twin) == [
+    brake, *counts = of_cars(run, twin)
+    assert (brake.kind, brake.what, brake.value, brake.when) == ("brake", "needless", 9.0, (1.7, 2.1))
+    assert said(run, [brake]) == [
         "The ego brakes needlessly with 9.0 m/s² at 1.7 s for an object that is not there (track 28, shown by "
-        "adversary_1)",
-        "The ego drives 29 m instead of 93 m and stands for 1.1 s instead of 0.0 s (unattacked)",
+        "adversary_1)"
     ]
-    assert car_sentences(run)[-1] == "The ego drives 29 m and stands for 1.1 s"
-    assert car_sentences(twin.run, twin)[-1] == "The ego drives 93 m, as unattacked"
+    assert [(each.what, each.value, each.other) for each in counts] == [("way", 29.0, 93.0), ("stands", 1.1, 0.0)]
+    assert told(run)[-2:] == ["The ego drives 29 m", "The ego stands for 1.1 s"]
+    assert told(twin.run, twin) == ["The ego drives 93 m (unattacked: 93 m)"]
     del run.files.summary["driven"]
-    assert car_sentences(run, twin) == []
+    assert of_cars(run, twin) == []
 
 
-def test_collisions_are_named_first_and_counted_for_the_other_run(both: tuple[Run, Reference]) -> None:
+def test_collisions_are_named_first(both: tuple[Run, Reference]) -> None:
     run, twin = both
     hit = {"object": 9, "frame": 33, "speed_mps": 2.34, "hidden": True}
     run.files.summary["driven"] = {"ego": happened(collisions=[hit], missed_brakes=2)}
-    assert car_sentences(run, twin) == [
-        "The ego hits object 9 in frame 33 (2.3 m/s between them, hidden from its driver)",
-        "The ego fails to brake in 2 emergencies",
-        "The ego drives 93 m, as unattacked",
-        "unattacked: 0 collisions",
+    assert told(run, twin) == [
+        "The ego hits object 9 at 3.3 s (2.3 m/s between them, hidden from its driver)",
+        "The ego fails to brake in an emergency 2 times (unattacked: 0)",
+        "The ego drives 93 m (unattacked: 93 m)",
     ]
 
 
-def test_of_many_cars_the_ego_and_those_that_hit_something_are_described_and_the_others_summed_up(
-    both: tuple[Run, Reference],
-) -> None:
+def test_of_many_cars_the_ego_and_those_that_hit_something_are_described(both: tuple[Run, Reference]) -> None:
     run, _ = both
     hit = {"object": 9, "frame": 33, "speed_mps": 2.34, "hidden": False}
     cars = {f"mobile_{number}": happened(progress_m=100.0) for number in range(1, 18)}
-    cars["mobile_4"] = happened(progress_m=100.0, needless_brakes=9)
     cars["mobile_9"] = happened(progress_m=50.0, collisions=[hit])
     run.files.summary["driven"] = cars | {"ego": happened()}
-    assert car_sentences(run) == [
-        "The ego drives 93 m and stands for 0.0 s",
-        "mobile_9 hits object 9 in frame 33 (2.3 m/s between them)",
-        "mobile_9 drives 50 m and stands for 0.0 s",
-        "16 other cars drive 1,600 m, brake needlessly 9 times and hit nothing",
+    assert told(run) == [
+        "The ego drives 93 m",
+        "mobile_9 hits object 9 at 3.3 s (2.3 m/s between them)",
+        "mobile_9 drives 50 m",
     ]
     for number in (1, 2, 3):
         cars[f"mobile_{number}"] = cars["mobile_9"]
     run.files.summary["driven"] = cars
-    *_, standing, sums = car_sentences(run)
-    assert standing == "mobile_3 drives 50 m and stands for 0.0 s"
-    assert sums == "14 other cars drive 1,350 m, brake needlessly 9 times and hit 1 object"
+    assert {each.who for each in of_cars(run)} == {("mobile_1",), ("mobile_2",), ("mobile_3",)}
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_every_kind_of_cause_has_words(kind: str, adversary: str | None, needles
     assert reason_of(brake({"object": 28, "kind": kind, "adversary": adversary}, needless)) == words
 
 
-def test_every_brake_of_an_adversary_is_named_though_the_truth_gave_a_reason_too(
+def test_the_hardest_brakes_of_adversaries_are_named_though_the_truth_gave_a_reason_too(
     both: tuple[Run, Reference],
 ) -> None:
     run, _ = both
@@ -176,15 +176,9 @@ def test_every_brake_of_an_adversary_is_named_though_the_truth_gave_a_reason_too
         for number, (cause, needless) in enumerate([*causes, (none, True)])
     ]
     run.files.summary["driven"] = {"ego": happened(brakes=brakes, needless_brakes=4)}
-    assert car_sentences(run)[:-1] == [
-        "The ego brakes with 9.0 m/s² at 2.0 s for an object that is not there (track 28, shown by adversary_1)",
-        "The ego brakes with 7.0 m/s² at 4.0 s for object 7, changed by liar",
-        "The ego brakes needlessly with 6.0 m/s² at 5.0 s for an object that is not there (track 28, shown by "
-        "adversary_1)",
-        "The ego brakes needlessly 2 more times because of adversary_1: 5.0 m/s² at 6.0 s and 4.0 m/s² at 7.0 s",
-        "The ego brakes 1 more time because of adversary_1: 3.0 m/s² at 8.0 s",
-        "The ego brakes needlessly 1 more time: 2.0 m/s² at 9.0 s",
-    ]
+    brakes = [each for each in of_cars(run) if each.kind == "brake"]
+    assert [(each.what, each.value) for each in brakes] == [("", 9.0), ("", 7.0), ("needless", 6.0)]
+    assert [each.value for each in of_cars(run) if each.what == "more"] == [4], "the time axis has all"
 
 
 def test_the_table_has_a_line_for_the_run_and_one_for_its_twin(both: tuple[Run, Reference]) -> None:

@@ -8,8 +8,10 @@ from typing import Any
 import pytest
 
 import mast_zenoh as mast
-from mast_zenoh.report.narrative.adversaries import attack_description, compromised, explanations
-from mast_zenoh.report.narrative.run import defence_sentence, headline
+from mast_zenoh.report.findings import outcome
+from mast_zenoh.report.findings.adversaries import attacks, limits, positions
+from mast_zenoh.report.findings.defence import of_defence
+from mast_zenoh.report.findings.words import defence_line, said
 from mast_zenoh.runs.run import Run
 
 SETTINGS: dict[str, Any] = dict(n_infrastructure=2, n_mobile=1, attack_start_s=0.3, scene_index=8)
@@ -41,35 +43,36 @@ def test_the_headline_names_the_agent_in_whose_picture_the_errors_are(pair: Run)
     per_frame = pair.scores_of("picture", "mobile_1")["fp_split"]["attack"]
     assert per_frame > 0.0
     assert pair.scores_of("picture", "ego")["fp_split"]["attack"] == 0.0
-    assert headline(pair) == (
-        "What infra_1 sends to mobile_1 compromised: no error in the picture of the ego is due to attacks; "
-        f"{per_frame:.2f} false objects a frame in the picture of mobile_1 are due to adversary_1"
-    )
+    where, unchanged, change = outcome(pair)
+    assert (where.kind, where.where) == ("adversaries", "the path from infra_1 to mobile_1")
+    assert (unchanged.kind, unchanged.who, unchanged.where) == ("unchanged", ("ego",), "picture")
+    assert (change.who, change.where, change.value) == (("mobile_1",), "picture", per_frame)
+    assert change.cause == ("adversary_1",)
+    assert said(pair, [change])[0].endswith("objects a frame in the picture of mobile_1 are due to adversary_1")
 
 
 def test_an_adversary_on_the_way_to_another_peer_had_no_effect_on_the_ego(pair: Run) -> None:
-    assert explanations(pair)["adversary_1"] == ("it sat on the path of messages to mobile_1, not to the ego",)
-    assert attack_description(pair)[0].startswith("In the tracks of infra_1 on the way to mobile_1 alone, adversary_1 ")
+    assert [(each.cause, each.where) for each in limits(pair)] == [(("elsewhere",), "mobile_1")]
+    assert attacks(pair)[0].where.endswith(" only before peer_mobile_1")
 
 
 def test_agents_are_not_compromised_by_changes_on_the_way_to_one_listener(heard: Run) -> None:
-    assert compromised(heard) == "what the ego hears"
-    assert "lied" not in defence_sentence(heard)
-    assert "although what the ego hears of mobile_1, infra_1 and infra_2 is altered on the way" in defence_sentence(
-        heard
-    )
+    assert [each.where for each in positions(heard)] == ["the path from 3 agents to the ego"]
+    judged = {each.what: each.who for each in of_defence(heard)}
+    assert "never suspended" not in judged
+    assert set(judged["altered on the way"]) == {"mobile_1", "infra_1", "infra_2"}
 
 
 def test_of_several_judges_the_sentence_names_the_one_that_it_is_about(heard: Run) -> None:
-    assert defence_sentence(heard).startswith("FaultOrLie of the ego's peer (the others judge for themselves) ")
+    assert defence_line(heard).startswith("FaultOrLie of the ego's peer (the others judge for themselves): ")
 
 
 def test_slander_is_described_as_what_it_is(gossip: Run) -> None:
-    slander = next(text for text in attack_description(gossip) if "slanderer_1" in text)
-    assert "changed the trust in agents that is told in " in slander
-    (reason,) = explanations(gossip)["slanderer_1"]
-    assert reason.startswith("it changed no single object that could be false or missed: ")
-    assert reason.endswith(" messages slandered")
+    (did,) = (each for each in attacks(gossip) if each.who == ("slanderer_1",))
+    assert did.cause[0].endswith(" messages slandered")
+    (reason,) = (each for each in limits(gossip) if each.who == ("slanderer_1",))
+    assert reason.cause == ("no object",)
+    assert reason.where.endswith(" messages slandered")
 
 
 def test_the_headline_counts_only_objects_of_the_causes_that_it_names(gossip: Run) -> None:
@@ -77,6 +80,6 @@ def test_the_headline_counts_only_objects_of_the_causes_that_it_names(gossip: Ru
     for name, estimate in gossip.files.summary["agents"]["ego"].items():
         missed = {} if name == "local" else {"attack": 0.02, "withheld": 0.30}
         estimate |= {"fp_split": none, "fn_split": none | missed, "id_switches_split": none}
-    assert "0.30 missed objects a frame in the picture of the ego are due to Hearsay, which withheld" in headline(
-        gossip
-    )
+    (change,) = (each for each in outcome(gossip) if each.kind == "change")
+    assert (change.what, change.value, change.where) == ("missed", 0.3, "picture")
+    assert change.cause[0].startswith("Hearsay, which withheld objects")

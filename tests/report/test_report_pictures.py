@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 import mast_zenoh as mast
-from mast_zenoh.report.tables.pictures import channel_sentences, picture_sentences, picture_table
+from mast_zenoh.report.findings.defence import of_pictures
+from mast_zenoh.report.findings.words import said
+from mast_zenoh.report.tables.pictures import picture_table
 from mast_zenoh.runs.files import RunFiles
 from mast_zenoh.runs.run import Run
 
@@ -33,12 +35,15 @@ def test_each_agent_has_a_line_with_the_scores_of_its_own_picture(radio: mast.Ru
 def test_the_page_tells_whom_attacks_deceived_and_how_busy_the_channel_was(radio: mast.Run) -> None:
     page = radio.report().read_text()
     record = Run(radio.path)
-    deceived = picture_sentences(record)[1]
-    assert deceived.startswith("Attacks deceived ")
-    assert deceived in page
-    (load,) = channel_sentences(record)
-    assert load.startswith("Radio channel of 4 stations: ")
-    assert load in page
+    told = of_pictures(record)
+    assert [each.kind for each in told if each.kind != "overconfident"] == [
+        "pictures",
+        "deceived",
+        "channel",
+        "channel",
+    ]
+    for sentence in said(record, told):
+        assert sentence in page
 
 
 def test_the_pictures_whose_errors_exceed_their_covariances_are_counted() -> None:
@@ -50,7 +55,7 @@ def test_the_pictures_whose_errors_exceed_their_covariances_are_counted() -> Non
         "consistency": above,
     }
     run = Run.of(RunFiles(None, summary={"pictures": pictures}))
-    assert picture_sentences(run) == [
+    assert said(run, of_pictures(run)) == [
         "3 agents have pictures of their own; GOSPA between two: 4.0 m, mostly objects that one of them lacks",
         "Attacks deceived 13 % of them at a time, at most 88 %, first at 2.0 s",
         "Errors are larger than covariances say (NEES above its 95 % bounds, 2 expected): "

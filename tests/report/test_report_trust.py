@@ -22,15 +22,14 @@ from mast_zenoh.report.figures.trust import trust_over_time
 from mast_zenoh.report.figures.view import frame_view
 from mast_zenoh.report.film import takes
 from mast_zenoh.report.film.takes import Take
+from mast_zenoh.report.findings.causes import causes
+from mast_zenoh.report.findings.changes import MISSED, Change
+from mast_zenoh.report.findings.defence import of_defence, periods
+from mast_zenoh.report.findings.words import said
 from mast_zenoh.report.html import write_report
-from mast_zenoh.report.narrative.attribution import causes
-from mast_zenoh.report.narrative.changes import MISSED, Change
 from mast_zenoh.report.tables.of_run import (
     conduct_table,
-    suspension_lines,
     suspension_table,
-    trust_sentences,
-    undecided_lines,
     undecided_table,
 )
 from mast_zenoh.run_folder.tables import write_table
@@ -164,9 +163,8 @@ def test_suspended_relays_of_honest_agents_are_named_with_those_whose_agents_wer
     relays = dict(agents=agents, honest_suspended=["infra_2", "infra_4"], false_alarms=2)
     path = edit(run_folder("uncoordinated"), metrics={"integrity": INTEGRITY | {"relays": relays}})
     run = Run(path)
-    expected = "What honest agents relay was suspended 2 times: infra_2, infra_4; deceived by an attack then: infra_4"
-    assert expected in trust_sentences(run)
-    assert suspension_lines(run)[-1] == expected
+    (found,) = (each for each in of_defence(run) if each.kind == "relays")
+    assert (found.who, found.value, found.cause) == (("infra_2", "infra_4"), 2, ("infra_4",))
 
 
 def test_the_chart_has_a_row_for_each_agent_with_its_suspensions_and_faults(folder: Path) -> None:
@@ -198,10 +196,10 @@ def test_an_agent_whose_suspension_flickers_has_one_line(folder: Path) -> None:
     flicker = [suspension(0.5 * at, 0.5 * at + 0.2, "honest" if at < 4 else "lying") for at in range(5)]
     agents = {"infra_2": of_agent(suspensions=[*flicker, suspension(3.5, None, "lying")])}
     edit(folder, metrics={"integrity": {"agents": agents}})
-    lines = [line for line in suspension_lines(Run(folder)) if "infra_2" in line]
-    assert lines == [
-        "the command centre suspended infra_2 6 times (4 while honest, 2 while lying) between 0.0 s and 4.0 s, for "
-        f"1.5 s in all: {REASON}"
+    run = Run(folder)
+    (found,) = (each for each in periods(run) if each.who == ("infra_2",))
+    assert said(run, [found]) == [
+        f"The command centre suspended infra_2 (honest) from 0.0 s to 0.2 s, 6 times in all: {REASON}"
     ]
 
 
@@ -215,28 +213,26 @@ def last_line(folder: Path, defence: str, integrity: dict[str, Any]) -> str:
 
 
 def test_the_last_line_says_which_agents_the_defence_suspended_when_and_what_it_withheld(folder: Path) -> None:
+    withheld = "withheld 1.50 false and 0.25 true objects a frame."
     assert last_line(folder, "FreeSpace", INTEGRITY) == (
-        "FreeSpace suspended two agents, infra_1 (0.5 s after its first lie) and infra_2 (while honest), "
-        "although infra_3 lied, and withheld 1.50 false and 0.25 true objects a frame."
+        "FreeSpace: suspended infra_1 0.5 s after its first lie; suspended infra_2 while honest; did not suspend "
+        f"infra_3, which lied (watched for up to 2.4 s); {withheld}"
     )
     before = of_agent(lied=True, first_lie_s=1.5, suspensions=[suspension(0.0, None, "honest")])
-    assert last_line(folder, "Robosac", INTEGRITY | {"agents": {"infra_1": before}}) == (
-        "Robosac suspended one agent, infra_1 (already suspended before its first lie), "
-        "and withheld 1.50 false and 0.25 true objects a frame."
-    )
+    early = last_line(folder, "Robosac", INTEGRITY | {"agents": {"infra_1": before}})
+    assert early == f"Robosac: suspended infra_1 before lying; {withheld}"
     nothing = {"agents": {"ego": of_agent()}, "withheld": {"true": 0.0, "false": 0.0}}
     assert last_line(folder, "FreeSpace", INTEGRITY | nothing) == (
-        "FreeSpace set no agent's state to suspended and withheld nothing."
+        "FreeSpace: suspended no agent; withheld 0.00 false and 0.00 true objects a frame."
     )
     honest = {"honest": {"trusted": 3.0, "faulty": 1.25}, "faulty": {"faulty": 2.0}}
     corrected = nothing | {"agents": {"ego": of_agent(seconds=honest), "infra_1": of_agent()}}
-    assert last_line(folder, "FaultOrLie", INTEGRITY | corrected) == (
-        "FaultOrLie set no agent's state to suspended, corrected without a fault ego (1.2 s), and withheld nothing."
-    )
+    line = last_line(folder, "FaultOrLie", INTEGRITY | corrected)
+    assert "suspended no agent; corrected ego without a fault (for up to 1.2 s); withheld 0.00" in line
     alarm = of_agent(suspensions=[suspension(1.0, None, "honest")])
     many = last_line(folder, "KOfN", INTEGRITY | {"agents": {f"infra_{number}": alarm for number in range(15)}})
-    assert many.startswith("KOfN suspended 15 agents, infra_0 (while honest), ")
-    assert "infra_7 (while honest) and 7 more, and withheld" in many
+    assert many.startswith("KOfN: suspended infra_0, infra_1, ")
+    assert "infra_7 and 7 more while honest; withheld" in many
     none = last_line(folder, "NoIntegrity", INTEGRITY)
     assert "NoIntegrity" not in none
     assert "withheld" not in none
@@ -252,8 +248,8 @@ def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:
 def test_the_page_states_missed_liars_false_alarms_and_withheld_objects(folder: Path) -> None:
     page = write_report(folder).read_text()
     assert '<h2 id="trust">' in page
-    assert "infra_3 was never suspended in the 2.4 s after its first lie" in page
-    assert "Honest agents were suspended once: infra_2" in page
+    assert "did not suspend infra_3, which lied (watched for up to 2.4 s)" in page
+    assert "suspended infra_2 while honest" in page
     assert "1.50 false and 0.25 true objects" in page
     assert REASON in page
     assert (folder / "figures" / "trust.png").is_file()
@@ -306,10 +302,8 @@ def test_every_undecided_period_has_a_row_and_a_line_with_its_whole_reason(undec
         ("infra_2", "1.0", "end", "honest", OPEN),
         ("infra_3", "1.0", "2.0", "honest, lies from 1.5 s on", OPEN),
     ]
-    assert undecided_lines(run) == [
-        f"infra_2 (honest) was undecided from 1.0 s to the end: {OPEN}",
-        f"infra_3 (honest, lies from 1.5 s on) was undecided from 1.0 s to 2.0 s: {OPEN}",
-    ]
+    found = [(each.who, each.when, each.cause) for each in periods(run) if each.what == "undecided"]
+    assert found == [(("infra_2",), (1.0, 4.0), ("honest", OPEN)), (("infra_3",), (1.0, 2.0), ("honest", OPEN))]
     agents = run.files.summary["integrity"]["agents"]
     agents["infra_3"]["undecided"] = [suspension(2.5, None, "honest") | {"reason": OPEN}]
     assert undecided_table(run).lines[-1].cells[3] == "honest, lied before"
@@ -319,7 +313,7 @@ def test_every_undecided_period_has_a_row_and_a_line_with_its_whole_reason(undec
     html = write_report(undecided).read_text()
     assert f"{OPEN}</td>" in html
     assert "undecided agent</th>" in html
-    assert "Undecided at some time: infra_2, infra_3" in html
+    assert "undecided infra_2 to the end" in html
 
 
 def test_the_events_of_a_run_say_who_the_possible_liars_are(undecided: Path) -> None:
@@ -342,20 +336,16 @@ def test_the_caption_of_a_film_names_undecided_agents_in_one_line(undecided: Pat
 
 
 @pytest.mark.parametrize(
-    ("reporters", "suspended", "words"),
+    ("reporters", "suspended", "number"),
     [
-        (("infra_2", "infra_3", "infra_4"), (), "objects that one agent that was not suspended reported"),
-        (("infra_2+infra_3", "infra_2", "infra_4"), ("infra_2",), "objects that on average 0.7 agents that were not"),
-        (("infra_2", "infra_2+infra_3", "infra_3"), ("infra_2", "infra_3"), "objects that only suspended agents repor"),
-        (
-            ("ego+infra_2", "infra_2+infra_3", "infra_3+infra_4"),
-            (),
-            "objects that two agents that were not suspended r",
-        ),
+        (("infra_2", "infra_3", "infra_4"), (), "1.0"),
+        (("infra_2+infra_3", "infra_2", "infra_4"), ("infra_2",), "0.7"),
+        (("infra_2", "infra_2+infra_3", "infra_3"), ("infra_2", "infra_3"), "0.0"),
+        (("ego+infra_2", "infra_2+infra_3", "infra_3+infra_4"), (), "2.0"),
     ],
 )
 def test_the_cause_counts_the_agents_that_reported_each_withheld_object(
-    folder: Path, reporters: tuple[str, ...], suspended: tuple[str, ...], words: str
+    folder: Path, reporters: tuple[str, ...], suspended: tuple[str, ...], number: str
 ) -> None:
     run = Run(folder)
     objects, trust = run.files.objects, run.files.trust
@@ -367,4 +357,4 @@ def test_the_cause_counts_the_agents_that_reported_each_withheld_object(
         objects[name][rows] = values
     trust["state"][np.isin(trust["agent"], suspended)] = "suspended"
     change = Change("ego", "picture", MISSED, 1.0, 1.0, {"withheld": 1.0})
-    assert f"which withheld {words}" in causes(run, change)[-1]
+    assert f"on average {number} agents that were not suspended reported" in causes(run, change)[-1]

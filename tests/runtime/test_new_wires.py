@@ -13,7 +13,7 @@ import pytest
 
 import mast_zenoh as mast
 from mast_zenoh.errors import WiringError
-from mast_zenoh.report.narrative.adversaries import explanations
+from mast_zenoh.report.findings.adversaries import limits
 
 INTENTS = """
 [[wire]]
@@ -190,7 +190,8 @@ def test_what_is_on_a_further_wire_is_an_estimate_with_all_metrics() -> None:
 def test_peers_only_hear_a_wire_that_is_not_for_fusion_and_no_estimate_depends_on_it() -> None:
     run = played("intents.py", wires="hear")
     assert run.summary["agents"]["ego"]["picture"]["fp_split"]["attack"] == 0.0
-    assert explanations(run)["liar"] == ("no estimate depends on agent/infra_1/intents",)
+    reasons = [(each.cause, each.where) for each in limits(run) if each.who == ("liar",)]
+    assert reasons == [(("no estimate",), "agent/infra_1/intents")]
     counts = json.loads((run.path / "results" / "peer_ego" / "results.json").read_text())["radio"]
     assert counts["intents/infra_1"] == 25
 

@@ -27,8 +27,9 @@ from mast_zenoh.report.figures.driven import driven_figure
 from mast_zenoh.report.figures.over_time import SMOOTH, causes_over_time, counts_over_time, driving_over_time
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.trust import trust_over_time
-from mast_zenoh.report.narrative.changes import capital
-from mast_zenoh.report.narrative.driven import car_sentences
+from mast_zenoh.report.findings.cars import of_cars
+from mast_zenoh.report.findings.words import capital
+from mast_zenoh.report.findings.words import text as said_in_text
 from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
 from mast_zenoh.report.tables.scores import ScoreTable
 from mast_zenoh.run_folder import check_plain, read_json, write_bytes
@@ -122,9 +123,8 @@ class Driven(RunFigure):
         return driven_figure(context.run, context.reference)
 
     def alt(self, context: FigureContext) -> str:
-        return ". ".join(
-            ("Path, speed and acceleration of the driven car", *car_sentences(context.run, context.reference))
-        )
+        happened = said_in_text(context.run, of_cars(context.run, context.reference))
+        return f"Path, speed and acceleration of the driven car. {happened}"
 
     def caption(self, context: FigureContext) -> str:
         caption = super().caption(context)

@@ -15,7 +15,7 @@ from mast_zenoh.metrics.estimates import ESTIMATES, OWN
 from mast_zenoh.metrics.measures import measure_named
 from mast_zenoh.report.figures.style import Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import HATCH, bands, fault_legend, padded, rows_over_time, shade
-from mast_zenoh.report.narrative.changes import scored
+from mast_zenoh.report.findings.changes import scored
 from mast_zenoh.report.tables.of_run import DRIVEN_BY
 from mast_zenoh.report.tables.scores import shown_estimates
 from mast_zenoh.runs.files import Table, are_in, rows

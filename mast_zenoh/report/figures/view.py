@@ -8,7 +8,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.report.narrative.changes import OBJECT_M2, SWITCH, scored
+from mast_zenoh.report.findings.changes import OBJECT_M2, SWITCH, scored
 from mast_zenoh.runs.files import are_in
 from mast_zenoh.runs.frame import Frame, frame_at, has_boxes
 from mast_zenoh.runs.run import Run

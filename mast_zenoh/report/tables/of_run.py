@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -10,8 +9,8 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE, TRUTH, subject_of
-from mast_zenoh.report.narrative.adversaries import explanations
-from mast_zenoh.report.narrative.attribution import reaches
+from mast_zenoh.report.findings.causes import reaches
+from mast_zenoh.report.findings.finding import Finding
 from mast_zenoh.report.tables.pictures import exceeds
 from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable
 from mast_zenoh.runs.events import doubts, suspensions
@@ -29,23 +28,20 @@ _ACHIEVED = (
 )
 
 
-def achieved_table(run: Run, reference: Run | None = None) -> tuple[PageTable, list[tuple[str, str]]]:
-    """A line per interposer other than links, and a total if there are several; and reasons for limited effects.
+def achieved_table(run: Run, limits: Sequence[Finding] = ()) -> PageTable:
+    """A line per interposer other than links, and a total if there are several; no lines if nothing was measured.
 
-    No lines if nothing was measured. Reasons: (adversary, reason).
-    reference: the run that this one is compared with, see `explanations`
+    limits: reasons for limited effects; who has one has a line
     """
     achieved: Mapping[str, Mapping[str, Any]] = run.files.summary.get("achieved", {})
-    why = explanations(run, reference)
     names = [each.name for each in interposers(run) if not each.is_link]
-    centre = [name for name in names if reaches(run, name, "picture")]
-    names = [name for name in names if name in achieved or name in why]
+    centre = [name for name in names if reaches(run, name, PICTURE)]
+    limited = {name for each in limits for name in each.who}
+    names = [name for name in names if name in achieved or name in limited]
     lines = [_achieved(name, achieved.get(name, {}), in_picture=name in centre) for name in names]
     if len(lines) > 1 and ALL in achieved:
         lines.append(_achieved("all together", achieved[ALL], in_picture=bool(centre)))
-    if all(line.cells[1] == DASH for line in lines):
-        lines = []
-    return PageTable(_ACHIEVED, lines), [(name, text) for name in names for text in why.get(name, ())]
+    return PageTable(_ACHIEVED, [] if all(line.cells[1] == DASH for line in lines) else lines)
 
 
 def _achieved(name: str, each: Mapping[str, Any], *, in_picture: bool) -> Line:
@@ -183,7 +179,6 @@ def _number(value: float | None) -> str:
 #: Estimates by which a vehicle might drive, and their names.
 DRIVEN_BY = {TRUTH: TRUTH, **{name: ESTIMATES[name].column for name in (LOCAL, MISSION)}}
 
-_WRONG_BRAKING = {"needless_brake_share": "brakes needlessly", "missed_brake_share": "fails to brake when it must"}
 #: Shares below this count as none.
 _MIN_SHARE = 0.0005
 
@@ -248,12 +243,6 @@ def _driven(labels: Sequence[str], happened: Mapping[str, Any]) -> Line:
     return Line((*labels, *map(str, (*counts, *brakes)), hardest, far, unsafe, way, standing, behind))
 
 
-def driving_differs(run: Run, reference: Run) -> bool:
-    """Whether the ego's driving metrics differ between two runs, for an estimate that both have."""
-    own, references = _summaries(run), _summaries(reference)
-    return any(own[estimate] != references[estimate] for estimate in own.keys() & references.keys())
-
-
 def _summaries(run: Run | None) -> dict[str, dict[str, Any]]:
     """The ego's driving metrics by estimate."""
     if run is None:
@@ -295,30 +284,6 @@ def _driving(labels: Sequence[str], summary: dict[str, Any], reference_summary: 
     ttc = f"more than {_LONG_S:.0f}" if far else text("min_ttc_s", 1, missing="never")
     brake = text("brake_share", 1, 100.0)
     return Line((*labels, *counts, ttc, brake, share("needless_brake_share"), share("missed_brake_share")))
-
-
-def braking_by_attack(run: Run) -> str:
-    """How attacks made the ego with picture brake wrongly, in words; or empty."""
-    mission = _summaries(run).get("mission", {})
-    return _braking({words: mission.get(f"{key}_attack") for key, words in _WRONG_BRAKING.items()})
-
-
-def unattributed_braking(run: Run, reference: Run, name: str) -> str:
-    """Unattributed increase in wrong braking over another run, in words; or empty."""
-    own, other = (_summaries(each).get("mission", {}) for each in (run, reference))
-    braking = _braking({words: _unattributed(own, other, key) for key, words in _WRONG_BRAKING.items()})
-    return f"{braking} more than {name}, not attributed" if braking else ""
-
-
-def _braking(shares: dict[str, float | None]) -> str:
-    parts = [f"{words} in {share:.1%} of the scored frames" for words, share in shares.items() if share]
-    return f"the ego with the picture {' and '.join(parts)}" if parts else ""
-
-
-#: Suspensions, and undecided agents, that the terminal shows.
-_MOST_LINES = 8
-#: Suspensions of one agent that have a line each.
-_MOST_SUSPENSIONS = 3
 
 
 _SUSPENSIONS = (
@@ -386,92 +351,6 @@ def conduct_table(run: Run) -> PageTable:
         if any(of_state.values())
     ]
     return PageTable([Head("seconds of all agents", kind="text"), *map(Head, states)], lines)
-
-
-def trust_sentences(run: Run) -> list[str]:
-    """The result in sentences: liars never suspended, false alarms, undecided agents, and withheld objects."""
-    part: dict[str, Any] = run.files.summary.get("integrity", {})
-    if not part:
-        return []
-    missed = [
-        f"{name} was never suspended in the {agent['observed_s']:.1f} s after its first lie"
-        for name, agent in part["agents"].items()
-        if agent["observed_s"] is not None and agent["suspended_after_s"] is None
-    ]
-    honest = part["honest_suspended"]
-    times = "once" if part["false_alarms"] == 1 else f"{part['false_alarms']} times"
-    alarms = f"Honest agents were suspended {times}: {', '.join(honest)}" if honest else ""
-    names = [name for name, agent in part["agents"].items() if agent.get("undecided")]
-    undecided = f"Undecided at some time: {', '.join(names)}"
-    withheld = part.get("withheld", {})
-    objects = (
-        f"Withheld from the picture, per frame: {withheld['false']:.2f} false and {withheld['true']:.2f} true objects"
-    )
-    sentences = [*missed, alarms or "No honest agent was suspended", *_relay_sentences(part)]
-    sentences += [undecided] if names else []
-    return [*sentences, *([objects] if withheld else [])]
-
-
-def _relay_sentences(part: Mapping[str, Any]) -> list[str]:
-    """Which honest agents had what they relay suspended, and which of these relayed an attack's errors; [] for none."""
-    relays = part.get("relays", {})
-    honest = relays.get("honest_suspended", ())
-    if not honest:
-        return []
-    periods = {agent: relays["agents"][agent]["suspensions"] for agent in honest}
-    deceived = [
-        agent
-        for agent, of_agent in periods.items()
-        if any(each["deceived"] for each in of_agent if each["conduct"] == "honest")
-    ]
-    times = "once" if relays["false_alarms"] == 1 else f"{relays['false_alarms']} times"
-    sentence = f"What honest agents relay was suspended {times}: {', '.join(honest)}"
-    return [f"{sentence}; deceived by an attack then: {', '.join(deceived) or 'none'}"]
-
-
-def suspension_lines(run: Run) -> list[str]:
-    """Which agents the command centre suspended, when and why: a line each, or one for an agent that flickers."""
-    lines: dict[str, list[str]] = {}
-    for (agent, from_s, until, conduct, after_s, reason), _ in suspension_table(run).lines:
-        after = "" if after_s == DASH else f", {after_s} s after its first lie"
-        why = "" if reason == DASH else f": {reason}"
-        when = f"from {from_s} s to {'the end' if until == 'end' else f'{until} s'}"
-        text = f"the command centre suspended {agent} ({conduct}) {when}{after}{why}"
-        lines.setdefault(agent, []).append(text)
-    times = {agent: [each for each in suspensions(run) if each["agent"] == agent] for agent in lines}
-    shown = [
-        line
-        for agent, of_agent in lines.items()
-        for line in (of_agent if len(of_agent) <= _MOST_SUSPENSIONS else [_flicker(run, agent, times[agent])])
-    ]
-    return [*_first_lines(shown, "suspensions more"), *_relay_sentences(run.files.summary.get("integrity", {}))]
-
-
-def _flicker(run: Run, agent: str, periods: Sequence[Mapping[str, Any]]) -> str:
-    """Many suspensions of an agent: how many, over what time, how long in all, and in what conduct."""
-    end_s = float(run.files.summary.get("frames", 0) * run.period_s)
-    ends = [end_s if each["until_s"] is None else each["until_s"] for each in periods]
-    total = sum(end - each["from_s"] for each, end in zip(periods, ends, strict=True))
-    conducts = Counter(each["conduct"] for each in periods)
-    while_ = ", ".join(f"{number} while {conduct}" for conduct, number in conducts.items())
-    when = f"between {periods[0]['from_s']:.1f} s and {max(ends):.1f} s, for {total:.1f} s in all"
-    why = f": {periods[0]['reason']}" if periods[0]["reason"] else ""
-    return f"the command centre suspended {agent} {len(periods)} times ({while_}) {when}{why}"
-
-
-def undecided_lines(run: Run) -> list[str]:
-    """Which agents the command centre could not decide about, when and why, a line each."""
-    lines = []
-    for (agent, from_s, until, conduct, reason), _ in undecided_table(run).lines:
-        why = "" if reason == DASH else f": {reason}"
-        to = "the end" if until == "end" else f"{until} s"
-        lines.append(f"{agent} ({conduct}) was undecided from {from_s} s to {to}{why}")
-    return _first_lines(lines, "periods more in which agents were undecided")
-
-
-def _first_lines(lines: list[str], rest: str) -> list[str]:
-    more = f"  and {len(lines) - _MOST_LINES} {rest}, see the report"
-    return [*lines[:_MOST_LINES], more] if len(lines) > _MOST_LINES else lines
 
 
 #: Groups of causes, as in `fn_split` and `fp_split` of metrics.json.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from mast_zenoh.metrics.significance import holm
 from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, Measured, Row, plural
-from mast_zenoh.report.narrative.changes import join_names
+from mast_zenoh.report.findings.words import names as join_names
 from mast_zenoh.report.tables.text_table import BOUNDS, ResultTables, TextTable, bounds, digits, measured
 from mast_zenoh.study.defences.matrix_tables import MatrixTable
 from mast_zenoh.study.defences.published import Published, PublishedNumber

@@ -1,4 +1,4 @@
-"""Changes of a run's scores, over a reference run or by its own measurements, and how to say them."""
+"""Changes of a run's scores, over a reference run or by its own measurements, and which of them is the largest."""
 
 from __future__ import annotations
 
@@ -10,37 +10,36 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, PICTURE, RECEIVED, place_of
-from mast_zenoh.runs.interposers import OF_OBJECTS, WITH_COLUMN, Interposer
+from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, RECEIVED
 from mast_zenoh.runs.run import Run
 
 FALSE, MISSED, DISPLACED, IDENTITY = "false", "missed", "displaced", "identity"
 
 
-class BoxError(NamedTuple):
-    """An error of matched boxes.
+class Error(NamedTuple):
+    """A kind of error of an estimate.
 
-    key: in metrics.json;  unit, digits: of its amount;  metres: m per unit, how far it puts a car's ends off in 1 s
+    key: in metrics.json;  unit: of its amount
+    metres: of matched boxes, m per unit: how far it puts a car's ends off in 1 s
     """
 
     key: str
-    unit: str
-    digits: int
-    metres: float
+    unit: str = ""
+    metres: float = 0.0
 
 
 #: m, half the length of a car: the arm of an error of its heading.
 _ARM_M = 2.25
-#: Kinds of errors of matched boxes, by what is wrong.
-BOX_ERRORS = {
-    "length": BoxError("length_error_m", " m", 2, 1.0),
-    "width": BoxError("width_error_m", " m", 2, 1.0),
-    "heading": BoxError("heading_error_deg", "\u00b0", 1, math.radians(_ARM_M)),
-    "velocity": BoxError("velocity_error_mps", " m/s", 2, 1.0),
-}
-#: By kind, its key in metrics.json.
-KEYS = {FALSE: "fp", MISSED: "fn", DISPLACED: "rmse_m", IDENTITY: "id_switches"} | {
-    kind: error.key for kind, error in BOX_ERRORS.items()
+#: Kinds of errors.
+ERRORS = {
+    FALSE: Error("fp"),
+    MISSED: Error("fn"),
+    DISPLACED: Error("rmse_m", "m", 1.0),
+    IDENTITY: Error("id_switches"),
+    "length": Error("length_error_m", "m", 1.0),
+    "width": Error("width_error_m", "m", 1.0),
+    "heading": Error("heading_error_deg", "\u00b0", math.radians(_ARM_M)),
+    "velocity": Error("velocity_error_mps", "m/s", 1.0),
 }
 
 #: m2, the cost of a missed or a false object in GOSPA (c = 5 m, p = 2, alpha = 2). Changes of all kinds are weighted
@@ -57,6 +56,9 @@ MIN_NAMED_SHARE, MIN_CULPRIT_SHARE = 0.2, 0.05
 MIN_TRANSFERRED_SHARE = 0.2
 
 
+#: Objects per frame; smaller changes are not notable beside a larger one.
+NOTHING = 0.025
+
 #: Groups of causes that are not natural, as in `fn_split` of metrics.json.
 _GROUPS = ("attack", "fault", "withheld")
 
@@ -68,8 +70,7 @@ Summary = dict[str, Any]
 class Change:
     """A change of one kind in one estimate of one agent.
 
-    amount: false, missed: objects per frame; displaced: m, of the RMSE; identity: switches in the run; of BOX_ERRORS:
-            of the mean error, in its unit
+    amount: false, missed: objects per frame; identity: switches in the run; others: of the mean error, in its unit
     weight: objects per frame, see OBJECT_M2; below zero: fewer errors
     parts:  the parts of `amount` due to each group of causes, where they were measured
     by:     rows by responsible adversary; may be empty
@@ -90,30 +91,21 @@ class Change:
 
 def against(run: Run, reference: Run, agents: Iterable[str] | None = None) -> list[Change]:
     """Changes of scores over a reference run of the same scene; by default the ego's."""
-    return [
-        change
-        for agent in ([run.ego or ""] if agents is None else agents)
-        for estimate in ESTIMATES
-        for change in between(
-            run, run.scores_of(estimate, agent), reference.scores_of(estimate, agent), agent, estimate
-        )
-    ]
-
-
-def between(run: Run, here: Summary, there: Summary, agent: str | None = None, estimate: str = "") -> list[Change]:
-    """Changes of one summary of metrics.json over another with as many frames."""
     changes = []
-    for kind, key in KEYS.items():
-        value, before = _mean(here.get(key)), _mean(there.get(key))
-        if value is None or before is None:
-            continue
-        weight = _weight(run, kind, here, value) - _weight(run, kind, there, before)
-        parts, old = _split(here, kind), _split(there, kind)
-        parts = {group: part - old.get(group, 0.0) for group, part in parts.items()}
-        if kind == DISPLACED and agent == run.ego:
-            displacement = _displacement(run, estimate)[0]
-            parts = {} if displacement is None else {"attack": displacement}
-        changes.append(_change(run, agent or run.ego or "", estimate, kind, value - before, weight, parts))
+    for agent in [run.ego or ""] if agents is None else agents:
+        for estimate in ESTIMATES:
+            here, there = run.scores_of(estimate, agent), reference.scores_of(estimate, agent)
+            for kind, error in ERRORS.items():
+                value, before = _mean(here.get(error.key)), _mean(there.get(error.key))
+                if value is None or before is None:
+                    continue
+                weight = _weight(run, kind, here, value) - _weight(run, kind, there, before)
+                parts, old = _split(here, kind), _split(there, kind)
+                parts = {group: part - old.get(group, 0.0) for group, part in parts.items()}
+                if kind == DISPLACED and agent == run.ego:
+                    displacement = _displacement(run, estimate)[0]
+                    parts = {} if displacement is None else {"attack": displacement}
+                changes.append(_change(run, agent, estimate, kind, value - before, weight, parts))
     return changes
 
 
@@ -214,22 +206,23 @@ def culprits(run: Run, estimate: str, kind: str) -> Counter[str]:
     return Counter({name: count for name, count in switches.items() if count})
 
 
-def witnesses_of_withheld(run: Run, estimate: str) -> list[int]:
-    """How many agents that were not suspended reported each of the ego's missed objects that the centre withheld.
+def witnesses_of_withheld(run: Run, estimate: str) -> float | None:
+    """How many agents that were not suspended reported a missed object that was withheld, in the mean.
 
-    In scored frames; [] if that is not known.
+    In scored frames; None: not known
     """
-    if run.files.objects is None or run.files.trust is None:
-        return []
     table, trust = run.files.objects, run.files.trust
+    if table is None or trust is None:
+        return None
     selected = (table["estimator"] == run.original(estimate)) & (table["cause"] == "withheld")
     selected &= scored(run, table["frame"])
     out = trust["state"] == "suspended"
     suspended = set(zip(trust["frame"][out].tolist(), trust["agent"][out].tolist(), strict=True))
-    return [
+    numbers = [
         sum((frame, name) not in suspended for name in str(names).split("+") if name)
         for frame, names in zip(table["frame"][selected].tolist(), table["by"][selected].tolist(), strict=True)
     ]
+    return float(np.mean(numbers)) if numbers else None
 
 
 def _names(run: Run, by: np.ndarray) -> Counter[str]:
@@ -256,7 +249,7 @@ def _displacement(run: Run, estimate: str) -> tuple[float | None, float]:
     viewer = "ego" if estimate == "mission" else "centre"
     summary = run.scores_of(estimate)
     rmse, matched, frames = summary.get("rmse_m"), _mean(summary.get("tp")), _frames(run)
-    if run.files.targets is None or rmse is None or not matched or not frames or estimate in ("local", "received"):
+    if run.files.targets is None or rmse is None or not matched or not frames or estimate in (LOCAL, RECEIVED):
         return None, 0.0
     table, error = run.files.targets, np.asarray(run.files.targets[f"error_m_{viewer}"], np.float64)
     selected = np.isin(table["kind"], ("moved", "altered")) & (error <= run.gate_m) & scored(run, table["frame"])
@@ -274,9 +267,8 @@ def _displacement(run: Run, estimate: str) -> tuple[float | None, float]:
 
 
 def _weight(run: Run, kind: str, summary: Summary, amount: float) -> float:
-    if kind == DISPLACED or kind in BOX_ERRORS:
-        off_m = amount * (BOX_ERRORS[kind].metres if kind in BOX_ERRORS else 1.0)
-        return (_mean(summary.get("tp")) or 0.0) * off_m**2 / OBJECT_M2
+    if ERRORS[kind].metres:
+        return (_mean(summary.get("tp")) or 0.0) * (amount * ERRORS[kind].metres) ** 2 / OBJECT_M2
     return amount * SWITCH / (_frames(run) or 1) if kind == IDENTITY else amount
 
 
@@ -288,7 +280,7 @@ def _frames(run: Run) -> int:
 
 def _split(summary: Summary, kind: str) -> dict[str, float]:
     """The parts of a score due to each group of causes, where they are known."""
-    split = summary.get(f"{KEYS[kind]}_split") or {}
+    split = summary.get(f"{ERRORS[kind].key}_split") or {}
     return {group: split[group] for group in _GROUPS if split.get(group) is not None}
 
 
@@ -296,96 +288,3 @@ def _mean(value: object) -> float | None:
     if isinstance(value, dict):
         value = value.get("mean")
     return float(value) if isinstance(value, (int, float)) else None
-
-
-_NUMBERS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
-#: Objects per frame; smaller differences are not notable beside a larger one.
-NOTHING = 0.05
-
-
-def count(number: int) -> str:
-    """A small number as a word."""
-    return _NUMBERS[number] if 0 <= number < len(_NUMBERS) else str(number)
-
-
-def join_names(names: Sequence[str], most: int | None = None) -> str:
-    """`a`, `a and b`, `a, b and c`. most: names; of more, `a, b and 3 more`"""
-    if most is not None and len(names) > most:
-        names = [*names[:most], f"{len(names) - most} more"]
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-
-
-def capital(text: str) -> str:
-    """The text with a capital first letter."""
-    return text[:1].upper() + text[1:]
-
-
-def objects(number: float, kind: str = "") -> str:
-    """`9.40 false objects`; `no false object` for none at all."""
-    noun = f"{kind} object".strip()
-    if number == 0.0:
-        return f"no {noun}"
-    return f"{small(number)} {noun}s"
-
-
-def small(number: float) -> str:
-    """A positive number as tables print it, with two decimals, or with more if that would be zero."""
-    if number >= 0.005:
-        return f"{number:.2f}"
-    return f"{number:.2g}" if number >= 0.0005 else "less than 0.001"
-
-
-def place(run: Run, change: Change) -> str:
-    """Where a change is: `in the common picture`, `in the picture of mobile_1`."""
-    if change.estimate != PICTURE or change.agent == run.ego:
-        return place_of(change.estimate, change.agent, run.ego)
-    if "pictures" in run.files.summary:  # each agent has its own
-        return f"in the picture of {change.agent}"
-    return f"in the common picture in range of {change.agent}"
-
-
-def amount(run: Run, change: Change, *, where: bool = True, more: bool = False) -> str:
-    """The amount of a change: `5.50 false objects a frame in the common picture`.
-
-    more: as a difference: `5.50 more false objects a frame in the common picture`
-    """
-    size, unit = abs(change.amount), ""
-    word = "more" if change.amount > 0 else "fewer" if change.kind in (FALSE, MISSED, IDENTITY) else "less"
-    if change.kind == DISPLACED:
-        text = f"{small(size)} m {word} RMSE" if more else f"an RMSE that is at least {size:.2f} m larger"
-    elif change.kind in BOX_ERRORS:
-        error = BOX_ERRORS[change.kind]
-        of = f"in the {'velocities' if change.kind == 'velocity' else f'{change.kind}s'} of matched objects"
-        text = f"{size:.{error.digits}f}{error.unit} {word} error {of}"
-    elif change.kind == IDENTITY:
-        text = f"{size:.0f} {f'{word} ' if more else ''}identity switch{'' if round(size) == 1 else 'es'}"
-    else:
-        text, unit = objects(size, f"{word} {change.kind}" if more else change.kind), " a frame"
-    return f"{text}{unit}{f' {place(run, change)}' if where else ''}"
-
-
-def plural(number: int, noun: str) -> str:
-    """`1 frame`, `20 frames`."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-#: Effects whose names need other words.
-_EFFECT_WORDS = {"reframed": "changed outside their objects"}
-
-
-def effects(interposer: Interposer) -> str:
-    """Measured effects: `478 rows of 6 objects inserted, 8 messages dropped, 110 views changed`."""
-    counts = interposer.effects_besides_named
-    ordered = [name for name in (*WITH_COLUMN, *counts) if counts.get(name) and name != "unsettled"]
-    texts = [_effect(interposer, name, counts[name]) for name in dict.fromkeys(ordered)]
-    texts += [f"{plural(interposer.views, 'view')} changed"] * bool(interposer.views)
-    texts += [f"{plural(interposer.commands, 'command')} changed"] * bool(interposer.commands)
-    return ", ".join(texts) or "nothing"
-
-
-def _effect(interposer: Interposer, effect: str, number: int) -> str:
-    if effect not in OF_OBJECTS:
-        return f"{plural(number, 'message')} {_EFFECT_WORDS.get(effect, effect)}"
-    object_count, clutter = interposer.objects.get(effect, (0, False))
-    parts = [plural(object_count, "object")] * bool(object_count) + ["clutter"] * clutter
-    return f"{plural(number, 'row')} of {' and of '.join(parts) or 'objects'} {effect}"

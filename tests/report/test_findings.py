@@ -1,27 +1,29 @@
-"""Sentences of the report agree with the numbers, and name a cause only if it was measured."""
+"""Findings agree with the numbers, and name a cause only if it was measured."""
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Callable
 from copy import deepcopy
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 from run_samples import edit
 
+from mast_zenoh.report import terminal
 from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.narrative.adversaries import attack_description
-from mast_zenoh.report.narrative.attribution import other_differences, reaches
-from mast_zenoh.report.narrative.changes import effects as effects_in_words
-from mast_zenoh.report.narrative.run import (
-    headline,
-    reading,
-    study_headline,
-    study_reading,
-    while_attacked,
-)
+from mast_zenoh.report.findings import details, findings, headline, of_compared, outcome
+from mast_zenoh.report.findings.adversaries import attacks
+from mast_zenoh.report.findings.causes import reaches
+from mast_zenoh.report.findings.differences import other_differences
+from mast_zenoh.report.findings.finding import Finding
+from mast_zenoh.report.findings.results import during
+from mast_zenoh.report.findings.words import said, text
+from mast_zenoh.report.html import write_page
 from mast_zenoh.report.tables.scores import number, score_table, signed
 from mast_zenoh.runs.events import first_changes
 from mast_zenoh.runs.interposers import interposers
@@ -33,13 +35,25 @@ Metrics = dict[str, Any]
 NONE = {"fault": 0.0, "attack": 0.0, "natural": 0.0}
 FAILURE = {"handler": "on_detections", "count": 19, "frames": 19, "first_frame": 11, "last_frame": 29}
 FAILURE |= {"exception": "ValueError: no", "where": "mine.py:3"}
-DUE = "are due to adversary_1 and adversary_2"
+
+
+def found(run: Run, reference: Run | None = None, name: str = "unattacked", **fields: Any) -> list[Finding]:
+    """The findings of a run with these fields; names in `who` and `cause` are among others."""
+    every = findings(run, Reference(reference, name) if reference else None)
+    return [
+        each
+        for each in every
+        if all(
+            {value} <= set(getattr(each, field)) if field in ("who", "cause") else getattr(each, field) == value
+            for field, value in fields.items()
+        )
+    ]
 
 
 def text_of(run: Run, reference: Run | None = None, name: str = "unattacked") -> str:
     """`^headline$ sentences$`"""
     other = Reference(reference, name) if reference else None
-    return f"^{headline(run, other)}$ {' '.join(reading(run, other))}$"
+    return f"^{headline(run, other)}$ {text(run, details(run, other))}$"
 
 
 def of_ego(**estimates: Any) -> Metrics:
@@ -58,52 +72,45 @@ def acting_on_misses(ego: Metrics) -> Metrics:
     return {"picture": clean, "picture_received": received, "mission": mission}
 
 
-#: Attack, changed files, sentences, and words that must be absent.
-ALONE: dict[str, tuple[str, dict[str, Any], list[str], str]] = {
-    "an unattacked run": (
-        "",
-        {},
-        ["^The common picture misses 1.18 objects a frame, the ego alone 10.53, the ego with the picture 1.18$"],
-        "due to",
-    ),
+BOTH = ("adversary_1", "adversary_2")
+INSERTED = dict(kind="change", what="false", value=6.25, where="picture", cause="adversary_2")
+#: Attack, changed files, findings, and one that must be absent.
+ALONE: dict[str, tuple[str, dict[str, Any], list[dict[str, Any]], dict[str, Any]]] = {
+    "an unattacked run": ("", {}, [dict(kind="missed", value=1.175, other=10.525)], dict(kind="change")),
     "an attacked run": (
         "uncoordinated",
         {},
         [
-            f"^Two of four roadside sensors compromised: 6.25 false objects a frame in the common picture {DUE}$",
-            "adversary_1 and adversary_2 changed messages from t = 1.5 s to 3.9 s; while they did, the picture has "
-            "10.00 false objects a frame.",
+            INSERTED,
+            dict(kind="adversaries", what="compromised", who="adversary_1", where="2 of 4 roadside sensors"),
+            dict(kind="attack", who="adversary_2", when=(1.5, 3.9), cause="125 rows of objects inserted"),
+            dict(kind="during", what="false", value=10.0, when=(1.5, 3.9), cause="25 of 40 scored frames"),
         ],
-        "scored frames",
+        dict(kind="ended"),
     ),
     "a failed handler": (
         "uncoordinated",
         {"run": {"nodes": {"adversary_1": {"failures": [FAILURE]}}}},
         [
-            "^Handlers of adversary_1 failed in 19 frames: the numbers may be wrong$ Two of four roadside sensors "
-            "compromised: 6.25 false objects",
-            "adversary_1's handlers failed in 19 frames.",
+            dict(kind="ended", what="handlers", who="adversary_1", value=19),
+            dict(kind="verdict", what="failed", who="adversary_1", value=19),
+            INSERTED,
         ],
-        "",
+        dict(kind="no scores"),
     ),
     "damaged metrics": (
         "uncoordinated",
         {"metrics": '{"agents": '},
-        ["^No scores: metrics.json is damaged$ adversary_1 and adversary_2 changed messages from t = 1.5 s to 3.9 s.$"],
-        "",
+        [dict(kind="no scores", what="damaged")],
+        INSERTED,
     ),
     "metrics of the user alone": (
         "uncoordinated",
         {"metrics": '{"mine": 3}'},
-        ["^No scores: metrics.json holds none of the common picture$"],
-        "",
+        [dict(kind="no scores", what="own")],
+        INSERTED,
     ),
-    "no metrics": (
-        "uncoordinated",
-        {"metrics": ...},
-        ["^No scores: this run did not get as far as its evaluation$"],
-        "",
-    ),
+    "no metrics": ("uncoordinated", {"metrics": ...}, [dict(kind="no scores", what="not evaluated")], INSERTED),
     "silent and lying adversaries": (
         "uncoordinated",
         {
@@ -112,24 +119,28 @@ ALONE: dict[str, tuple[str, dict[str, Any], list[str], str]] = {
             }
         },
         [
-            "adversary_1 changed messages and reported nothing.",
-            "What adversary_2 reported does not match what was measured.",
+            dict(kind="verdict", what="silent", who="adversary_1"),
+            dict(kind="verdict", what="disagrees", who="adversary_2"),
         ],
-        "",
+        dict(kind="verdict", what="failed"),
     ),
     "braking because of attacks": (
         "uncoordinated",
         {"metrics": braking(needless=0.125, missed=0.0)},
-        ["Because of attacks, the ego with the picture brakes needlessly in 12.5% of the scored frames."],
-        "",
+        [dict(kind="braking", what="needless", value=0.125)],
+        dict(kind="braking", what="missed"),
     ),
-    "no braking because of attacks": ("uncoordinated", {"metrics": braking(needless=0.0, missed=0.0)}, [], "brake"),
-    "half of the frames attacked": ("uncoordinated", {"metrics": {"scored_frames": [0, 29]}}, [], "scored frames"),
+    "no braking because of attacks": (
+        "uncoordinated",
+        {"metrics": braking(needless=0.0, missed=0.0)},
+        [],
+        dict(kind="braking"),
+    ),
     "fewer than half of the frames attacked": (
         "uncoordinated",
         {"metrics": {"scored_frames": [0, 28]}},
-        ["14 of the 29 scored frames are attacked."],
-        "",
+        [dict(kind="during", cause="14 of 29 scored frames")],
+        dict(kind="during", cause="25 of 40 scored frames"),
     ),
     "changes with a cause each": (
         "uncoordinated",
@@ -137,41 +148,53 @@ ALONE: dict[str, tuple[str, dict[str, Any], list[str], str]] = {
             "metrics": of_ego(picture={"fn_split": {"fault": 0.5, "attack": 0.0, "natural": 0.7}}),
             "scenario": {"timeline": [{"label": "Partition infra_2", "kind": "fault", "at_s": 0.5, "until_s": 1.0}]},
         },
-        [f"{DUE}$", "0.50 missed objects a frame in the common picture are due to Partition infra_2."],
-        "",
+        [INSERTED, dict(kind="change", what="missed", value=0.5, where="picture", cause="Partition infra_2")],
+        dict(kind="change", what="missed", cause="adversary_1"),
     ),
     "changes with the same cause": (
         "uncoordinated",
         {"metrics": of_ego(picture={"fn_split": {"fault": 0.0, "attack": 0.5, "natural": 0.7}})},
-        [f"{DUE}$", f"0.50 missed objects a frame in the common picture {DUE}."],
-        "",
-    ),
-    "a picture changed in transit": (
-        "",
-        {"metrics": {"agents": {"ego": lambda ego: ego | {"picture_on_arrival": ego["picture"] | {"rmse_m": 0.9}}}}},
-        ["The picture when it arrives has 0.49 m more RMSE than when the command centre sent it."],
-        "",
+        [INSERTED, dict(kind="change", what="missed", value=0.5, cause="adversary_1")],
+        dict(kind="faults"),
     ),
     "what the ego acts on": (
         "uncoordinated",
         {"metrics": {"agents": {"ego": acting_on_misses}, "same_as": lambda _: {}}},
         [
-            f"6.00 missed objects a frame in the picture that the ego receives {DUE}; in what the ego acts on, 1.10 "
-            "missed objects a frame and 12 identity switches$"
+            dict(kind="change", what="missed", value=6.0, where="picture_received", cause="adversary_1"),
+            dict(kind="change", what="missed", value=1.1, where="mission"),
+            dict(kind="change", what="identity", value=12, where="mission"),
         ],
-        "",
+        dict(kind="unchanged"),
     ),
 }
 
 
-@pytest.mark.parametrize(("attack", "changes", "sentences", "absent"), ALONE.values(), ids=ALONE)
-def test_sentences_on_one_run(
-    run_of: RunOf, attack: str, changes: dict[str, Any], sentences: list[str], absent: str
+@pytest.mark.parametrize(("attack", "changes", "expected", "absent"), ALONE.values(), ids=ALONE)
+def test_findings_on_one_run(
+    run_of: RunOf, attack: str, changes: dict[str, Any], expected: list[dict[str, Any]], absent: dict[str, Any]
 ) -> None:
-    text = text_of(run_of(attack, **changes))
-    for sentence in sentences:
-        assert sentence in text
-    assert not absent or absent not in text
+    run = run_of(attack, **changes)
+    for fields in expected:
+        assert found(run, **fields), fields
+    assert not found(run, **absent)
+
+
+WORDS = Path(__file__).parent / "words"
+
+
+@pytest.mark.parametrize("name", ["attacked", "compared", "failed", "unattacked"])
+def test_the_words_of_a_page_and_of_the_terminal(name: str, run_of: RunOf) -> None:
+    run = run_of("" if name == "unattacked" else "uncoordinated")
+    if name == "failed":
+        run.files.record["nodes"]["adversary_1"]["failures"] = [FAILURE]
+    reference = Reference(run_of(), "baseline") if name == "compared" else None
+    console = Console(file=io.StringIO(), width=1000)
+    terminal.show_loaded(console, run, reference)
+    page = [headline(run, reference), text(run, details(run, reference)), text(run, attacks(run))]
+    words = "\n".join([*page, "", *map(str.rstrip, console.file.getvalue().splitlines()), ""])
+    file = WORDS / f"{name}.txt"
+    assert words == file.read_text("utf-8")
 
 
 def test_sentences_give_the_numbers_of_the_table(run_of: RunOf) -> None:
@@ -179,12 +202,13 @@ def test_sentences_give_the_numbers_of_the_table(run_of: RunOf) -> None:
     table = score_table({label: run.files.summary for label, run in runs.items()})
     rows = {(row.measure.label, row.run): row for row in table.rows}
     cells = rows["fn", "baseline"].cells
-    missed = [number(cells[name].value, rows["fn", "baseline"].measure) for name in ("picture", "local", "mission")]
+    missed = [number(cells[name].value, rows["fn", "baseline"].measure) for name in ("picture", "local")]
     assert re.findall(r"\d+\.\d+", headline(runs["baseline"])) == missed
     row = rows["fp", "uncoordinated"]
     more = signed(row.cells["picture"].change, row.measure).removeprefix("+")
-    assert f"{more} more false objects" in headline(runs["uncoordinated"], Reference(runs["baseline"], "baseline"))
-    assert f"{more} more false objects" in study_headline(runs, table)
+    reference = Reference(runs["baseline"], "baseline")
+    assert f"{more} more false objects" in headline(runs["uncoordinated"], reference)
+    assert f"{more} more false objects" in of_compared(runs, reference)[0]
 
 
 def test_an_attack_in_a_single_frame_has_one_time(run_of: RunOf) -> None:
@@ -192,60 +216,57 @@ def test_an_attack_in_a_single_frame_has_one_time(run_of: RunOf) -> None:
     assert run.files.effects is not None
     only = (run.files.effects["frame"] == 20) & (run.files.effects["interposer"] == "adversary_1")
     run = run.with_(effects={name: column[only] for name, column in run.files.effects.items()})
-    assert "adversary_1 changed messages at t = 2.0 s; while it did, the picture has 10.00 false" in text_of(run)
-    assert "adversary_1 changed messages in frame 20; while it did" in text_of(run.with_(scene=None))
+    assert found(run, kind="during", when=(2.0, 2.0), value=10.0)
+    assert found(run.with_(scene=None), kind="during", when=(2.0, 2.0))
 
 
 def test_every_kind_of_change_in_every_estimate_is_reported(run_of: RunOf) -> None:
     attacked, reference = run_of("coordinated"), run_of()
-    for key, phrase, more in (
-        ("fn", "5.00 fewer missed", -5.0),
-        ("fp", "5.00 more false", 5.0),
-        ("rmse_m", "0.40 m more RMSE", 0.4),
-        ("id_switches", "400 more identity switches", 400),
-        ("length_error_m", "1.80 m more error in the lengths of matched objects", 1.8),
-        ("width_error_m", "0.90 m less error in the widths of matched objects", -0.9),
-        ("heading_error_deg", "60.0\u00b0 more error in the headings of matched objects", 60.0),
-        ("velocity_error_mps", "5.00 m/s more error in the velocities of matched objects", 5.0),
+    for what, key, more, words in (
+        ("missed", "fn", -5.0, "5.00 fewer missed objects a frame"),
+        ("false", "fp", 5.0, "5.00 more false objects a frame"),
+        ("displaced", "rmse_m", 0.4, "0.40 m more RMSE"),
+        ("identity", "id_switches", 400, "400 more identity switches"),
+        ("length", "length_error_m", 1.8, "1.80 m more error in the lengths of matched objects"),
+        ("width", "width_error_m", -0.9, "0.90 m less error in the widths of matched objects"),
+        ("heading", "heading_error_deg", 60.0, "60.0\u00b0 more error in the headings of matched objects"),
+        ("velocity", "velocity_error_mps", 5.0, "5.00 m/s more error in the velocities of matched objects"),
     ):
         for estimate in ("local", "picture", "mission"):
             metrics = attacked.files.summary | {"agents": deepcopy(reference.files.summary["agents"])}
             summary = metrics["agents"]["ego"][estimate]
             summary[key] = {"mean": summary[key]["mean"] + more} if "mean" in str(summary[key]) else summary[key] + more
-            assert phrase in headline(attacked.with_(summary=metrics), Reference(reference, "unattacked"))
+            run = attacked.with_(summary=metrics)
+            (change,) = found(run, reference, kind="change", what=what, where=estimate)
+            assert change.value == pytest.approx(more)
+            assert words in said(run, [change])[0]
 
 
 def test_a_change_for_another_agent_is_named_when_the_ego_has_none(run_of: RunOf) -> None:
     reference = run_of(metrics={"agents": lambda agents: agents | {"infra_1": agents["ego"]}})
     agents = deepcopy(reference.files.summary["agents"])
     agents["infra_1"]["mission"]["fp"]["mean"] += 2.0
-    text = text_of(run_of("coordinated", metrics={"agents": lambda _: agents}), reference)
-    assert "2.00 more false objects a frame for infra_1 with the picture than unattacked" in text
+    run = run_of("coordinated", metrics={"agents": lambda _: agents})
+    assert found(run, reference, kind="change", what="false", value=2.0, who="infra_1", where="mission")
 
 
-_RECEIVES = (
-    "4.00 more false objects a frame in the picture that the ego receives than unattacked, by no measured cause; "
-)
-IN_TRANSIT: dict[str, tuple[dict[str, float], str]] = {
+#: Errors that are added, and the estimates and kinds of errors that change in the outcome.
+IN_TRANSIT: dict[str, tuple[dict[str, float], list[tuple[str, str]]]] = {
     "the ego acts on it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 1.0},
-        "1.00 more false objects a frame for the ego with the picture than unattacked, by no measured cause",
+        [("mission", "false")],
     ),
     "the ego acts on little of it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 0.5},
-        f"{_RECEIVES}in what the ego acts on, 0.50 more false objects a frame",
+        [("picture_received", "false"), ("mission", "false")],
     ),
     "the ego loses identities for it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0, "mission": 0.5, "switches": 2},
-        f"{_RECEIVES}in what the ego acts on, 0.50 more false objects a frame and 2 more identity switches",
+        [("picture_received", "false"), ("mission", "false"), ("mission", "identity")],
     ),
     "the ego acts on nothing of it": (
         {"picture_received": 4.0, "picture_on_arrival": 4.0},
-        f"{_RECEIVES}what the ego acts on does not change",
-    ),
-    "only on the way": (
-        {"picture_received": 4.0},
-        f"{_RECEIVES}the picture on arrival and what the ego acts on do not change",
+        [("picture_received", "false"), ("mission", "errors")],
     ),
 }
 
@@ -261,25 +282,32 @@ def test_change_of_the_picture_in_transit_reports_what_the_ego_acts_on(run_of: R
         return run.with_(summary=run.files.summary | {"agents": {"ego": ego}, "same_as": {}})
 
     for added, expected in IN_TRANSIT.values():
-        assert headline(with_false_objects(added), Reference(with_false_objects({}), "unattacked")) == expected
+        found = outcome(with_false_objects(added), Reference(with_false_objects({}), "unattacked"))
+        assert [(each.where, each.what) for each in found if each.kind != "unattributed"] == expected
+        assert found[-1].what == "no cause"
 
 
 def test_effects_without_a_change_of_scores_are_named(run_of: RunOf) -> None:
     reference = run_of()
     agents = {"agents": lambda _: reference.files.summary["agents"]}
-    assert headline(run_of("uncoordinated", metrics=agents), Reference(reference, "unattacked")).startswith(
-        "Interposers changed messages (adversary_1: 125 rows of objects inserted, 25 rows of objects removed"
-    )
+    attacked = run_of("uncoordinated", metrics=agents)
+    assert found(attacked, reference, kind="unchanged", what="scores", who="adversary_1", than="unattacked")
+    assert found(attacked, kind="attack", who="adversary_1", cause="125 rows of objects inserted")
     passive = {"effects": lambda _: {}, "agreement": "nothing to report"}
     changes = {"interposers": {"adversary_1": passive, "adversary_2": passive}}
-    assert "passed every message on unchanged" in headline(run_of("uncoordinated", metrics=agents | changes))
-    assert "were not measured" in headline(run_of("uncoordinated", metrics=agents | {"interposers": ...}))
     silent = run_of("uncoordinated", metrics=changes)  # its errors differ, as with another defence
-    assert headline(silent, Reference(reference, "unattacked")).startswith(
-        "Adversaries on two of four roadside sensors passed every message on unchanged: 6.25 more false objects a frame"
-    )
-    one = run_of("uncoordinated", metrics={"interposers": {"adversary_1": passive}})
-    assert headline(one).startswith("One of four roadside sensors compromised: ")
+    for run, what, where in (
+        (run_of("uncoordinated", metrics=agents | changes), "idle", "2 of 4 roadside sensors"),
+        (run_of("uncoordinated", metrics=agents | {"interposers": ...}), "unmeasured", "2 of 4 roadside sensors"),
+        (silent, "idle", "2 of 4 roadside sensors"),
+        (
+            run_of("uncoordinated", metrics={"interposers": {"adversary_1": passive}}),
+            "compromised",
+            "1 of 4 roadside sensors",
+        ),
+    ):
+        assert found(run, kind="adversaries", what=what, where=where)
+    assert found(silent, reference, kind="adversaries", what="idle")
 
 
 def test_difference_in_driving_alone_is_reported(run_of: RunOf) -> None:
@@ -289,11 +317,9 @@ def test_difference_in_driving_alone_is_reported(run_of: RunOf) -> None:
         return run_of(attack, metrics={"agents": lambda _: agents, "driving": {"ego": {"mission": mission}}})
 
     reference = with_braking("", 0.0)
-    assert headline(with_braking("uncoordinated", 0.125), Reference(reference, "unattacked")).endswith(
-        "but only driving differs from unattacked (because of attacks, the ego with the picture brakes "
-        "needlessly in 12.5% of the scored frames)"
-    )
-    assert headline(reference, Reference(reference, "itself")).startswith("Every score equals that of itself")
+    told = outcome(with_braking("uncoordinated", 0.125), Reference(reference, "unattacked"))
+    assert [(each.kind, each.what) for each in told[1:]] == [("unchanged", "driving"), ("braking", "needless")]
+    assert found(reference, reference, kind="unchanged", what="scores")
 
 
 def test_a_reference_that_ended_badly_is_named_first(run_of: RunOf) -> None:
@@ -305,19 +331,17 @@ def test_a_reference_that_ended_badly_is_named_first(run_of: RunOf) -> None:
         ("killed", "was cut off"),
     ):
         reference.files.record["status"] = state
-        start = f"^Compared with unattacked, which {ended}: Two of four roadside sensors compromised: 6.2"
+        start = f"^Compared with unattacked, which {ended}: 2 of 4 roadside sensors compromised: 6.2"
         assert text_of(run, reference).startswith(start)
 
 
 def test_false_objects_during_the_attack_are_those_of_its_scored_frames(run_of: RunOf) -> None:
     base, run = run_of(), run_of("uncoordinated", metrics={"scored_frames": [0, 29]})
-    assert while_attacked(run, "fp") == pytest.approx(10.0)
-    assert while_attacked(run, "fn", base) == pytest.approx(0.0)
-    assert while_attacked(base, "fp") is None
+    assert found(run, base, kind="during", what="false", value=10.0, other=pytest.approx(0.0))
+    assert during(base) == []
     assert run.files.counts is not None
     run.files.counts["fp"] = np.where(run.files.counts["frame"] >= 30, 1000, run.files.counts["fp"])
-    assert while_attacked(run, "fp") == pytest.approx(10.0)
-    assert "; while they did, the picture has 10.00 false objects a frame." in text_of(run)
+    assert found(run, kind="during", what="false", value=10.0)
 
 
 def with_changes(run: Run, estimate: str = "picture", *, agent: str = "ego", **added: float) -> Run:
@@ -333,12 +357,13 @@ def with_changes(run: Run, estimate: str = "picture", *, agent: str = "ego", **a
 
 def test_of_changes_of_the_same_size_the_headline_names_the_harm(run_of: RunOf) -> None:
     clean, attacked = pair(run_of, {"metrics": {"agents": lambda _: run_of().files.summary["agents"]}})[::-1]
-    assert "0.50 more missed objects a frame in the common picture than" in text_of(
-        with_changes(attacked, fp=-0.55, fn=0.5, attack=0.5), clean
+    harmed, better = (
+        with_changes(attacked, fp=-0.55, fn=0.5, attack=0.5),
+        with_changes(attacked, fp=-2.0, fn=0.5, attack=0.5),
     )
-    assert "2.00 fewer false objects a frame in the common picture than" in headline(
-        with_changes(attacked, fp=-2.0, fn=0.5, attack=0.5), Reference(clean, "unattacked")
-    )
+    for run, what in ((harmed, "missed"), (better, "false")):
+        changes = [each for each in outcome(run, Reference(clean, "unattacked")) if each.kind == "change"]
+        assert [(each.what, each.where) for each in changes] == [(what, "picture")]
 
 
 def test_the_score_during_an_attack_that_hides_objects_is_of_missed_ones(run_of: RunOf) -> None:
@@ -346,8 +371,7 @@ def test_the_score_during_an_attack_that_hides_objects_is_of_missed_ones(run_of:
     unattacked = run_of().files.summary["agents"]
     attacked = run_of("uncoordinated", metrics={"interposers": hides, "agents": lambda _: unattacked})
     better = with_changes(attacked, fp=-0.5)
-    missed = while_attacked(better, "fn")
-    assert f"while it did, the picture has {missed:.2f} missed objects a frame." in text_of(better, run_of())
+    assert found(better, run_of(), kind="during", what="missed", where="picture")
 
 
 def test_an_attack_that_stays_out_of_the_picture_is_headed_by_the_picture(run_of: RunOf) -> None:
@@ -355,25 +379,20 @@ def test_an_attack_that_stays_out_of_the_picture_is_headed_by_the_picture(run_of
     agents = {"agents": lambda _: clean.files.summary["agents"]}
     attacked = run_of("uncoordinated", metrics=agents, scenario=judged_by("FaultOrLie"))
     flooded = with_changes(attacked, "received", agent="infra_1", fp=20.0, attack=20.0)
-    where = "false objects a frame in infra_1's tracks as they are received"
-    assert headline(flooded) == (
-        "Two of four roadside sensors compromised: after FaultOrLie, no error in the common picture is due to attacks; "
-        f"20.00 {where} are due to adversary_1"
-    )
-    assert f"compromised: the common picture scores as in unattacked; 20.00 more {where} than unattacked" in headline(
-        flooded, Reference(clean, "unattacked")
-    )
+    for reference, judge in ((None, "FaultOrLie"), (clean, None)):
+        fields: dict[str, Any] = dict(cause=judge) if judge else dict(than="unattacked")
+        assert found(flooded, reference, kind="unchanged", what="errors", where="picture", **fields)
+        assert found(flooded, reference, kind="change", what="false", value=20.0, who="infra_1", where="received")
 
 
-def test_a_study_names_the_strongest_attack_and_every_run(run_of: RunOf) -> None:
+def test_compared_runs_are_headed_by_the_strongest_attack_and_each_has_a_sentence(run_of: RunOf) -> None:
     runs = {attack or "baseline": run_of(attack) for attack in ("", "uncoordinated", "coordinated")}
-    table = score_table({label: run.files.summary for label, run in runs.items()})
-    assert "(uncoordinated): 6.25 more false objects a frame in the common picture than baseline" in study_headline(
-        runs, table
-    )
-    text = " ".join(study_reading(runs, table))
-    assert "In run coordinated (two of four roadside sensors compromised), 2.50 more false" in text
-    assert "(+4.00 while the attack lasts), due to adversary_1 and adversary_2" in text
+    title, sentences = of_compared(runs, Reference(runs["baseline"], "baseline"))
+    assert title.startswith("uncoordinated: 2 of 4 roadside sensors compromised: 6.25 more false objects a frame")
+    assert [each.partition(":")[0] for each in sentences] == ["baseline", *list(runs)[1:]]
+    assert "there are 4.00 false objects a frame in the common picture (baseline: 0.00)" in sentences[2]
+    runs["uncoordinated"].files.record["status"] = "failed"
+    assert of_compared(runs, Reference(runs["baseline"], "baseline"))[0].startswith("uncoordinated did not end well")
 
 
 def centre(radius: float, **more: Any) -> dict[str, Any]:
@@ -400,7 +419,7 @@ def pair(run_of: RunOf, here: dict[str, Any] | None = None, there: dict[str, Any
 def test_added_adversaries_and_their_wires_are_not_other_differences(run_of: RunOf) -> None:
     runs = pair(run_of)
     assert other_differences(*runs) == ()
-    assert "than unattacked, due to adversary_1 and adversary_2$" in text_of(*runs)
+    assert found(*runs, kind="change", cause="adversary_1", than="unattacked")
 
 
 @pytest.mark.parametrize(
@@ -419,34 +438,32 @@ def test_added_adversaries_and_their_wires_are_not_other_differences(run_of: Run
 def test_no_cause_is_named_if_runs_differ_otherwise(run_of: RunOf, changes: dict[str, Any], name: str) -> None:
     for runs in (pair(run_of, changes), pair(run_of, None, changes)):
         assert other_differences(*runs) == (name,)
-        text = text_of(*runs, "other")
-        assert f"than other; not attributed: the runs also differ in {name}" in text
-        assert "due to" not in text
+        assert found(*runs, kind="unattributed", what="also differ", cause=name)
+        assert all(each.cause == () for each in found(*runs, kind="change"))
 
 
 def test_causes_are_named_of_an_increase_that_adversaries_of_one_run_alone_can_reach(run_of: RunOf) -> None:
     attacked, clean = pair(run_of)
     weaker = run_of("coordinated", scenario=centre(2.0), metrics=of_ego(picture={"fp": {"mean": 0.0}}))
     edit(weaker.path, scenario={"nodes": {"adversary_1": {"role": "adversary", "config": {"metres": 1.5}}}})
-    assert "not attributed: the runs differ in adversary_1.metres" in text_of(attacked, Run(weaker.path))
+    assert found(attacked, Run(weaker.path), kind="unattributed", what="differ", cause="adversary_1.metres")
     more_false = of_ego(picture={"fp": {"mean": 30.0}})
     attacked, clean = pair(run_of, None, {"metrics": more_false})
-    assert "not attributed: the runs differ in adversary_1, adversary_2 and coordinator" in text_of(clean, attacked)
-    assert "due to" not in text_of(clean, attacked)
-    assert "fewer false objects a frame in the common picture than unattacked$" in text_of(attacked, clean)
+    (differences,) = found(clean, attacked, kind="unattributed", what="differ")
+    assert differences.cause == ("adversary_1", "adversary_2", "coordinator")
+    fewer = found(attacked, clean, kind="change", what="false")
+    assert [each.cause for each in [*fewer, *found(clean, attacked, kind="change")]] == [(), ()]
+    assert not found(attacked, clean, kind="unattributed"), "a decrease has no cause"
     attacked, clean = pair(run_of, {"metrics": of_ego(local={"fn": {"mean": 30.0}})})
-    assert "more missed objects a frame in what the ego sees alone than unattacked, by no measured cause$" in text_of(
-        attacked, clean
-    )
+    assert found(attacked, clean, kind="change", what="missed", where="local", cause="adversary_1") == []
+    assert found(attacked, clean, kind="unattributed", what="no cause")
     assert [reaches(attacked, "adversary_1", name) for name in ("local", "picture", "mission")] == [False, True, True]
     dropped = {"interposers": {"adversary_1": {"effects": lambda _: {"dropped": 8}}, "adversary_2": ...}}
     missed = of_ego(picture={"fn": {"mean": 30.0}, "fn_split": {"fault": 0.0, "attack": 0.0}})
-    assert "more missed objects a frame in the common picture than unattacked, due to adversary_1$" in text_of(
-        *pair(run_of, {"metrics": missed | dropped})
-    )
+    (change,) = found(*pair(run_of, {"metrics": missed | dropped}), kind="change", what="missed")
+    assert change.cause == ("adversary_1",)
     local = {"agents": {"ego": {"local": {"fn": {"mean": 30.0}}}}}
-    expected = "^19.48 more missed objects a frame in what the ego sees alone than unattacked, by no measured cause$"
-    assert expected in text_of(run_of(metrics=local), run_of())
+    assert found(run_of(metrics=local), run_of(), kind="unattributed", what="no cause")
 
 
 LOST = {"churn": [{"frame": 40, "node": "infra_2", "what": "lost"}]}
@@ -455,10 +472,12 @@ LOST = {"churn": [{"frame": 40, "node": "infra_2", "what": "lost"}]}
 @pytest.mark.parametrize("mode", ["realtime", "lockstep"])
 def test_a_run_whose_node_died_says_so_first_and_names_it_as_the_cause(run_of: RunOf, mode: str) -> None:
     missed = of_ego(picture={"fn_split": {"fault": 0.5, "attack": 0.0, "natural": 0.7}})
-    text = text_of(run_of(metrics=missed, run=LOST | {"mode": mode, "status": "ok"}))
-    assert text.startswith("^infra_2 was lost before frame 40")
-    assert text.count("infra_2 was lost") == 1
-    assert "due to the loss of infra_2" in text
+    run = run_of(metrics=missed, run=LOST | {"mode": mode, "status": "ok"})
+    (lost,) = found(run, kind="ended", who="infra_2")
+    assert lost == findings(run)[0]
+    assert lost.what == ("lost" if mode == "lockstep" else "lost in real time")
+    assert headline(run).startswith("infra_2 was lost before frame 40")
+    assert found(run, kind="change", what="missed", cause="the loss of infra_2")
 
 
 def test_a_run_that_failed_says_why(run_of: RunOf) -> None:
@@ -470,24 +489,25 @@ def test_a_run_without_adversaries_says_so_and_names_its_faults(run_of: RunOf) -
     faults = [{"label": f"loss {n}", "kind": "fault", "at_s": float(n), "until_s": None} for n in range(5)]
     # wiring.json names adversaries, in every run of these tests
     run = run_of(wiring=..., metrics={"interposers": ...}, scenario={"timeline": faults})
-    assert attack_description(run) == [
-        "No adversary took part in this run.",
-        "The scenario also has faults: loss 0 from t = 0 s, loss 1 from t = 1 s, loss 2 from t = 2 s and 2 more.",
+    assert attacks(run) == [Finding("adversaries", what="none")]
+    (planned,) = found(run, kind="faults")
+    assert said(run, [planned]) == [
+        "Faults of the scenario: loss 0 from 0 s, loss 1 from 1 s, loss 2 from 2 s and 2 more"
     ]
 
 
 def test_every_kind_of_effect_is_described(run_of: RunOf) -> None:
     for effects, words in (
-        ({"dropped": 3, "delayed": 1}, "delayed 1 message and dropped 3 messages"),
-        ({"forged": 2}, "forged 2 messages"),
-        ({"reframed": 2}, "changed the frame of reference of 2 messages"),
-        ({"slandered": 2}, "changed the trust in agents that is told in 2 messages"),
-        ({"moved": 7}, "moved objects (7 rows)"),
-        ({"sung": 2}, "sung 2 messages"),
+        ({"dropped": 3, "delayed": 1}, ("1 message delayed", "3 messages dropped")),
+        ({"forged": 2}, ("2 messages forged",)),
+        ({"reframed": 2}, ("2 messages changed outside their objects",)),
+        ({"slandered": 2}, ("2 messages slandered",)),
+        ({"moved": 7}, ("7 rows of objects moved",)),
+        ({"sung": 2}, ("2 messages sung",)),
     ):
         run = run_of("uncoordinated")
         run.files.summary["interposers"]["adversary_1"]["effects"] = effects
-        assert words in attack_description(run)[0]
+        assert attacks(run)[0].cause == words
 
 
 def test_a_forged_view_is_described_as_what_the_agent_says_it_sees(run_of: RunOf) -> None:
@@ -499,26 +519,22 @@ def test_a_forged_view_is_described_as_what_the_agent_says_it_sees(run_of: RunOf
     table["message"] = np.where(views, "view", table["message"]).astype(object)
     table["wire"] = np.where(views, "agent/infra_1/view", table["wire"]).astype(object)
     table["effect"] = np.where(views, "reframed", table["effect"]).astype(object)
-    words = "adversary_1 changed the frame of reference of 2 messages and changed what infra_1 says it sees in 25 views"
-    assert words in attack_description(run)[0]
     (adversary,) = (each for each in interposers(run) if each.name == "adversary_1")
-    assert effects_in_words(adversary) == "2 messages changed outside their objects, 25 views changed"
+    assert attacks(run)[0].cause == ("2 messages changed outside their objects", "25 views changed")
     assert adversary.other == "2 reframed, 25 views changed"
     assert "adversary_1 changes what infra_1 says it sees" in [event.text for event in first_changes(run)]
 
 
 def test_idle_unmeasured_and_live_adversaries_are_distinguished(run_of: RunOf) -> None:
     idle = {"adversary_1": {"effects": lambda _: {}}, "adversary_2": {"effects": ...}}
-    assert attack_description(run_of("uncoordinated", metrics={"interposers": idle})) == [
-        "adversary_1 changed nothing.",
-        "What adversary_2 did was not measured.",
-    ]
+    did = {each.who[0]: each.cause for each in attacks(run_of("uncoordinated", metrics={"interposers": idle}))}
+    assert did == {"adversary_1": ("nothing",), "adversary_2": ("not measured",)}
     events = [
         {"action": "intercept", "node": "adversary_1", "frame": 15, "wires": ["agent/infra_1/detections"]},
         {"action": "release", "node": "adversary_1", "frame": 30, "wires": []},
     ]
-    live = attack_description(run_of("coordinated", run={"interceptions": events}))[0]
-    assert live.endswith("after it was inserted live in frame 15, and removed in frame 30.")
+    run = run_of("coordinated", run={"interceptions": events})
+    assert attacks(run)[0].what == "adversary_1 (inserted live in frames 15 to 29)"
 
 
 def test_a_coordinator_is_named_and_many_adversaries_are_summed_up(run_of: RunOf) -> None:
@@ -526,6 +542,6 @@ def test_a_coordinator_is_named_and_many_adversaries_are_summed_up(run_of: RunOf
         return known | {f"adversary_{number}": known["adversary_1"] for number in range(3, 9)}
 
     boss = {"nodes": {"boss": {"role": "coordinator"}}}
-    sentences = attack_description(run_of("uncoordinated", metrics={"interposers": more}, scenario=boss, run=boss))
-    assert sentences[3] == "Five other adversaries did the same kind of thing: see the table of interposers."
-    assert sentences[4] == "boss directed the adversaries."
+    run = run_of("uncoordinated", metrics={"interposers": more}, scenario=boss, run=boss)
+    assert [(each.who, each.what) for each in attacks(run) if each.kind == "verdict"] == [(("boss",), "directed")]
+    assert "6 more are in the table of interposers." in write_page(run).read_text()
