@@ -33,16 +33,16 @@ def mot(exported_to: Callable[[str], Path]) -> Path:
 def boxes_of_kitti(kitti: Path, file: Path, record: PlainRecord) -> dict[int, tuple[Any, Any]]:
     """Ids and boxes in the world frame, by the readers of the KITTI scene."""
     frames = len(record.frames)
-    labels = read_labels(file, frames)
+    labels = read_labels(file, frames).boxes
     to_imu, origin = read_calibration(kitti / "calib" / "0000.txt").camera
     position, rotation = read_poses(kitti / "oxts" / "0000.txt")
     position = position + record.poses["ego"][0][0]  # the reader's origin is the first position
-    ahead = np.stack([np.cos(labels.rotation_y), 0 * labels.rotation_y, -np.sin(labels.rotation_y)], axis=1)
-    middle = labels.bottom - np.stack([0 * labels.rotation_y, labels.size[:, 2] / 2, 0 * labels.rotation_y], axis=1)
+    ahead = np.stack([np.cos(labels.yaw), 0 * labels.yaw, -np.sin(labels.yaw)], axis=1)
+    middle = labels.position - np.stack([0 * labels.yaw, labels.size[:, 2] / 2, 0 * labels.yaw], axis=1)
     centre = np.einsum("nij,nj->ni", rotation[labels.frame], middle @ to_imu.T + origin) + position[labels.frame]
     heading = np.einsum("nij,nj->ni", rotation[labels.frame], ahead @ to_imu.T)
     box = np.column_stack([centre, labels.size, np.arctan2(heading[:, 1], heading[:, 0])])
-    return {frame: (labels.track[labels.frame == frame], box[labels.frame == frame]) for frame in range(frames)}
+    return {frame: (labels.id[labels.frame == frame], box[labels.frame == frame]) for frame in range(frames)}
 
 
 def in_image(record: PlainRecord, frame: int, boxes: Any) -> np.ndarray:

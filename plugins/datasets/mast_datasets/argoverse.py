@@ -5,9 +5,9 @@ Wilson et al.: Argoverse 2, NeurIPS Datasets and Benchmarks 2021.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,21 +52,17 @@ LEFT_OUT = (
 SAME_BOX_M = 0.1
 
 
-@dataclass(frozen=True, eq=False)
-class Annotations:
-    """N annotated boxes in the frame of the recording car, by time and then by track.
+class Annotations(NamedTuple):
+    """N annotated boxes by time and then by track, and what else is known of them.
 
-    frame: (N,) row of `times_ns` (F,);  track: (N,) number of the track, from 1, in the order of their UUIDs
-    position: (N, 3) m;  rotation: (N, 3, 3) active;  size: (N, 3) m l w h;  class_id: (N,);  points: (N,) lidar returns
+    times_ns: (F,) of the frames
+    boxes:    in the frame of the recording car; ids are the numbers of tracks, from 1, in the order of their UUIDs
+    rotation: (N, 3, 3) active;  points: (N,) lidar returns
     """
 
     times_ns: Ints
-    frame: Ints
-    track: Ints
-    position: Floats
+    boxes: SceneBoxes
     rotation: Floats
-    size: Floats
-    class_id: NDArray[np.uint8]
     points: Ints
 
 
@@ -123,28 +119,26 @@ def read_annotations(path: Path) -> Annotations:
         raise SceneError(f"{path}: a size is 0 or less, or num_interior_pts is negative")
     position, rotation = _poses(path, columns)
     class_id = np.array([CLASS_OF_CATEGORY.get(name, 0) for name in columns["category"]], np.uint8)
-    points = columns["num_interior_pts"]
-    once = ~np.isin(track, _copies(frame, track, position, size, class_id))
-    return Annotations(
-        times, frame[once], track[once], position[once], rotation[once], size[once], class_id[once], points[once]
-    )
+    boxes = SceneBoxes(frame, track, position, size, heading(rotation), class_id)
+    once = ~np.isin(track, _copies(boxes))
+    return Annotations(times, boxes.select(once), rotation[once], columns["num_interior_pts"][once])
 
 
-def _copies(frame: Ints, track: Ints, position: Floats, size: Floats, class_id: NDArray[np.uint8]) -> list[int]:
+def _copies(boxes: SceneBoxes) -> list[int]:
     """Tracks that coincide with another one of their class in all their frames.
 
     That one is longer, or as long and has a lower number. Two objects cannot be in one place: these are one, annotated
-    twice. Columns (N,) as in `Annotations`, by frame.
+    twice.
     """
     from scipy.spatial import cKDTree  # takes 0.2 s, and every run imports this module
 
     # Frames are so far apart in the first coordinate that no two of them have neighbours.
-    place = np.column_stack([frame * 10.0 * SAME_BOX_M, position, size])
+    place = np.column_stack([boxes.frame * 10.0 * SAME_BOX_M, boxes.position, boxes.size])
     i, j = cKDTree(place).query_pairs(SAME_BOX_M, output_type="ndarray").T
-    same = class_id[i] == class_id[j]
-    pairs = np.sort(np.column_stack([track[i], track[j]])[same], axis=1)
+    same = boxes.class_id[i] == boxes.class_id[j]
+    pairs = np.sort(np.column_stack([boxes.id[i], boxes.id[j]])[same], axis=1)
     pairs, count = np.unique(pairs, axis=0, return_counts=True)
-    frames = np.bincount(track)
+    frames = np.bincount(boxes.id)
     longer = frames[pairs[:, 1]] > frames[pairs[:, 0]]
     shorter = np.where(longer, pairs[:, 0], pairs[:, 1])
     copies: list[int] = shorter[count == frames[shorter]].tolist()
@@ -226,17 +220,10 @@ class AV2Log(TrafficScene):
 
 def _boxes(annotations: Annotations, axle: Floats, rotation: Floats) -> SceneBoxes:
     """The ego's boxes, then those of the traffic, in the world frame."""
-    frame = annotations.frame
     ego = SceneBoxes.throughout(
         _EGO_ID, axle + rotation @ _EGO_CENTRE, _EGO_SIZE, heading(rotation), CLASS_INDEX["car"]
     )
-    position = np.einsum("nij,nj->ni", rotation[frame], annotations.position) + axle[frame]
-    traffic = SceneBoxes(
-        frame=frame,
-        id=annotations.track,
-        position=position,
-        size=annotations.size,
-        yaw=heading(rotation[frame] @ annotations.rotation),
-        class_id=annotations.class_id,
-    )
+    now = annotations.boxes.frame
+    position = np.einsum("nij,nj->ni", rotation[now], annotations.boxes.position) + axle[now]
+    traffic = replace(annotations.boxes, position=position, yaw=heading(rotation[now] @ annotations.rotation))
     return SceneBoxes.concatenate([ego, traffic])

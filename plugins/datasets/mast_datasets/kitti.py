@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,22 +51,16 @@ _MATRICES = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Labels:
+class Labels(NamedTuple):
     """N labelled boxes in the axes of the rectified camera: x right, y down, z ahead.
 
-    frame: (N,);  track: (N,);  class_id: (N,);  occluded: (N,) 0 visible, 1 partly, 2 largely occluded, 3 unknown
-    size: (N, 3) m, length, width, height;  bottom: (N, 3) m, middle of the underside
-    rotation_y: (N,) rad about the downward axis; at 0 the object faces right
+    boxes:    their positions are middles of undersides, their yaws are about the downward axis; at 0 an object faces
+              right
+    occluded: (N,) 0 visible, 1 partly, 2 largely occluded, 3 unknown
     """
 
-    frame: Ints
-    track: Ints
-    class_id: NDArray[np.uint8]
+    boxes: SceneBoxes
     occluded: Ints
-    size: Floats
-    bottom: Floats
-    rotation_y: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +95,9 @@ def read_labels(path: Path, frames: int) -> Labels:
         occluded = row["occluded"].integer(-1, 3)
         rows.append((frame, track, CLASS_OF_TYPE[kind], occluded, *sizes, *place, row["rotation_y"].number(-1e3, 1e3)))
     table = np.array(rows, np.float64).reshape(-1, 11)
-    frame_of, track_of, class_of, occlusion = table[:, :4].astype(np.int64).T
-    return Labels(frame_of, track_of, class_of.astype(np.uint8), occlusion, table[:, 4:7], table[:, 7:10], table[:, 10])
+    frame, track, class_id, occluded = table[:, :4].astype(np.int64).T
+    boxes = SceneBoxes(frame, track, table[:, 7:10], table[:, 4:7], table[:, 10], class_id.astype(np.uint8))
+    return Labels(boxes, occluded)
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -269,9 +265,10 @@ def _boxes(
 ) -> tuple[SceneBoxes, NDArray[np.int64]]:
     """The ego's boxes, then the labelled ones, in the world; and how occluded each is (3: unknown)."""
     frames = len(position)
-    keep = (labels.frame >= window.start) & (labels.frame < window.stop)
-    frame, size, angle = labels.frame[keep] - window.start, labels.size[keep], labels.rotation_y[keep]
-    middle = labels.bottom[keep] - np.stack([0 * angle, size[:, 2] / 2, 0 * angle], axis=1)
+    keep = (labels.boxes.frame >= window.start) & (labels.boxes.frame < window.stop)
+    listed = labels.boxes.select(keep)
+    frame, angle = listed.frame - window.start, listed.yaw
+    middle = listed.position - np.stack([0 * angle, listed.size[:, 2] / 2, 0 * angle], axis=1)
     ahead = np.stack([np.cos(angle), 0 * angle, -np.sin(angle)], axis=1)
     to_imu, origin = calibration.camera
     to_world = rotation[frame]
@@ -279,12 +276,6 @@ def _boxes(
     direction = np.einsum("nij,nj->ni", to_world, ahead @ to_imu.T)
     own = np.array([_EGO_AHEAD_M, calibration.lidar[1][1], ground + _EGO_SIZE[2] / 2])
     ego = SceneBoxes.throughout(0, position + rotation @ own, _EGO_SIZE, heading(rotation), CLASS_INDEX["car"])
-    others = SceneBoxes(
-        frame=frame,
-        id=labels.track[keep] + 1,
-        position=centre,
-        size=size,
-        yaw=np.arctan2(direction[:, 1], direction[:, 0]),
-        class_id=labels.class_id[keep],
-    )
+    yaw = np.arctan2(direction[:, 1], direction[:, 0])
+    others = replace(listed, frame=frame, id=listed.id + 1, position=centre, yaw=yaw)
     return SceneBoxes.concatenate([ego, others]), np.concatenate([np.full(frames, 3), labels.occluded[keep]])
