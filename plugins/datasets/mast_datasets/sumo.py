@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,13 +17,12 @@ from mast_datasets.sumo_files import (
     VehicleTypes,
     read_buildings,
     read_steps,
-    sizes,
     type_of_class,
 )
 from mast_datasets.sumo_traffic import SUFFIXES, SumoTraffic
 from mast_datasets.traffic import TrafficScene, busiest_vehicle, check_times, ego_in_traffic, near_route
 from mast_datasets.xml_files import has_root
-from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
@@ -37,30 +37,19 @@ _ENOUGH_M = 10.0  # a trace in which objects move this far in all
 _DEGREES = 1e-3  # is in degrees if its positions change by less than this part of it
 
 
-@dataclass(frozen=True, eq=False)
-class Trace:
-    """N rows of a trace, at F times.
+class Trace(NamedTuple):
+    """What is there at F times, in the axes of the network.
 
     times_ns: (F,) ns, of the simulation
-    frame:    (N,) row of `times_ns`
-    id:       (N,) number of the object, from 1, in the order of their names
-    names:    names of the objects; that of object k is names[k - 1]
-    front:    (N, 3) m, middle of the front bumper, on the ground; for persons their middle
-    yaw:      (N,) rad, counter-clockwise from x
-    speed:    (N,) m/s along the yaw; NaN: not in the trace
-    types:    of each row
-    person:   (N,) whether it is a person
+    boxes:    of all objects; their ids are numbers from 1, in the order of their names
+    names:    of the objects; that of object k is names[k - 1]
+    front:    (N, 3) m, middle of the front bumper of each box, on the ground; for persons their middle
     """
 
     times_ns: Ints
-    frame: Ints
-    id: Ints
+    boxes: SceneBoxes
     names: list[str]
     front: Floats
-    yaw: Floats
-    speed: Floats
-    types: list[VehicleType]
-    person: Bools
 
 
 def read_trace(file: Path, types: VehicleTypes, start_s: float | None, duration_s: float | None) -> Trace:
@@ -115,11 +104,12 @@ def _check_end(file: Path, times: list[int], last: int | None, begin: int | None
 
 def _check_metres(file: Path, trace: Trace) -> None:
     """Raise SceneError if positions hardly change although objects move: they are longitudes and latitudes."""
-    order = np.lexsort((trace.frame, trace.id))
-    same = (np.diff(trace.id[order]) == 0) & (np.diff(trace.frame[order]) == 1)
+    frame, number = trace.boxes.frame, trace.boxes.id
+    order = np.lexsort((frame, number))
+    same = (np.diff(number[order]) == 0) & (np.diff(frame[order]) == 1)
     later = order[1:][same]
-    seconds = np.diff(trace.times_ns, prepend=0)[trace.frame[later]] / _NS
-    stated = float(np.nansum(np.abs(trace.speed[later]) * seconds))
+    seconds = np.diff(trace.times_ns, prepend=0)[frame[later]] / _NS
+    stated = float(np.nansum(np.linalg.norm(trace.boxes.velocity[later], axis=1) * seconds))
     moved = float(np.linalg.norm(trace.front[later] - trace.front[order[:-1][same]], axis=1).sum())
     if stated > _ENOUGH_M and moved < stated * _DEGREES:
         raise SceneError(
@@ -176,20 +166,24 @@ class _Rows:
         return VehicleType((row.length, row.width, row.height), kind.class_id)
 
     def trace(self, times_ns: Ints) -> Trace:
-        """All rows."""
-        frame, name, front, yaw, speed, types, person = zip(*self._rows, strict=True) if self._rows else [()] * 7
+        """The boxes of all rows."""
+        columns = zip(*self._rows, strict=True) if self._rows else [()] * 7
+        frame, name, place, angle, speed, types, person = columns
         names, number = np.unique(np.array(name, dtype=np.str_), return_inverse=True)
-        return Trace(
-            times_ns=times_ns,
+        front, yaw = np.array(place, np.float64).reshape(-1, 3), np.array(angle, np.float64)
+        size = np.array([kind.size for kind in types]).reshape(-1, 3)
+        ahead: Floats = np.stack([np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))], axis=1)
+        back = np.where(np.array(person, bool), 0.0, size[:, 0] / 2)
+        boxes = SceneBoxes(
             frame=np.array(frame, np.int64),
             id=number.astype(np.int64) + 1,
-            names=names.tolist(),
-            front=np.array(front, np.float64).reshape(-1, 3),
-            yaw=np.array(yaw, np.float64),
-            speed=np.array(speed, np.float64),
-            types=list(types),
-            person=np.array(person, bool),
+            position=front - back[:, None] * ahead + np.stack([0 * back, 0 * back, size[:, 2] / 2], axis=1),
+            size=size,
+            yaw=yaw,
+            class_id=np.array([kind.class_id for kind in types], np.uint8),
+            velocity=np.array(speed, np.float64)[:, None] * ahead,
         )
+        return Trace(times_ns, boxes, names.tolist(), front)
 
 
 _SUFFIXES = (".xml", ".xml.gz", ".csv", ".csv.gz")
@@ -248,7 +242,7 @@ class SumoTrace(TrafficScene):
         types = VehicleTypes([*_beside(file, ".rou.xml"), *_beside(file, ".add.xml")])
         trace = read_trace(file, types, self.start_s, self.duration_s)
         count = len(trace.times_ns)
-        boxes = _boxes(trace)
+        boxes = trace.boxes
         ego = busiest_vehicle(boxes, count, file) if self.ego is None else self._find_ego(trace, file)
         own = boxes.select(boxes.id == ego)
         route = own.position[np.argsort(own.frame, kind="stable")]
@@ -289,19 +283,3 @@ def _find_trace(path: Path) -> Path:
 
 def _beside(file: Path, suffix: str) -> list[Path]:
     return sorted(other for other in file.parent.iterdir() if other.name.endswith((suffix, suffix + ".gz")))
-
-
-def _boxes(trace: Trace) -> SceneBoxes:
-    """The boxes of all objects, in the frame of the network."""
-    size = sizes(trace.types)
-    ahead: Floats = np.stack([np.cos(trace.yaw), np.sin(trace.yaw), np.zeros(len(trace.yaw))], axis=1)
-    back = np.where(trace.person, 0.0, size[:, 0] / 2)
-    return SceneBoxes(
-        frame=trace.frame,
-        id=trace.id,
-        position=trace.front - back[:, None] * ahead + np.stack([0 * back, 0 * back, size[:, 2] / 2], axis=1),
-        size=size,
-        yaw=trace.yaw,
-        class_id=np.array([kind.class_id for kind in trace.types], np.uint8),
-        velocity=trace.speed[:, None] * ahead,
-    )

@@ -218,11 +218,6 @@ def read_size(element: XmlElement, default: tuple[float, float, float]) -> tuple
     return length, width, height
 
 
-def sizes(types: Sequence[VehicleType]) -> Floats:
-    """(N, 3) m."""
-    return np.array([kind.size for kind in types]).reshape(-1, 3)
-
-
 _MAX_COORDINATE_M = 1e8
 _MAX_HEIGHT_M = 1000.0
 _HEIGHT = re.compile(r"(\d{1,4}(?:\.\d{1,6})?)\s*m?", re.ASCII)
