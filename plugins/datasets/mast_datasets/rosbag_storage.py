@@ -39,7 +39,8 @@ _MAX_FILES = 10_000
 _MAX_NAME = 1000
 _LISTED = 100  # topics in a message
 
-_unpackable: ContextVar[int] = ContextVar("_unpackable")  # bytes that chunks of the bag being read may unpack to
+#: Bytes that chunks of the bag being read may unpack to; None: others use rosbags.
+_unpackable: ContextVar[int | None] = ContextVar("_unpackable", default=None)
 
 
 def _unpack(kind: str, data: bytes, most: int) -> bytes:
@@ -50,9 +51,10 @@ def _unpack(kind: str, data: bytes, most: int) -> bytes:
 
 
 def _unpack_chunk(kind: str, data: bytes, size: int) -> bytes:
-    _unpackable.set(_unpackable.get() - size)
-    if size > MAX_CHUNK_BYTES or _unpackable.get() < 0:
-        raise ReaderError(f"found a chunk of {size} bytes unpacked, or chunks that unpack to too many bytes in all")
+    if (remaining := _unpackable.get()) is not None:
+        _unpackable.set(remaining - size)
+        if size > min(remaining, MAX_CHUNK_BYTES):
+            raise ReaderError(f"found a chunk of {size} bytes unpacked, or chunks that unpack to too many bytes in all")
     return _unpack(kind, data, size)
 
 
@@ -144,7 +146,8 @@ def open_bag(path: Path, max_unpacked_mb: float) -> Iterator[Bag]:
         if mode == "file":
             folder = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="mast-bag-")))
             files = _unpack_files(files, folder, max_unpacked_mb)
-        _unpackable.set(_ALWAYS_BYTES + _MAX_EXPANSION * sum(file.stat().st_size for file in files))
+        limit = _ALWAYS_BYTES + _MAX_EXPANSION * sum(file.stat().st_size for file in files)
+        opened.callback(_unpackable.reset, _unpackable.set(limit))
         readers = []
         for file in files:
             for journal in (file.with_name(f"{file.name}-{kind}") for kind in ("wal", "journal")):

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mast_datasets.sumo_files import type_of_class
 from mast_datasets.sumo_lanes import HORIZON_M, Lane, Priority, StopLine, Way, way_from
@@ -17,7 +16,7 @@ from mast_zenoh.arrays.geometry import rotation_from_yaw, wrap_angle
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.driving.motion import Command, RouteAhead, drive
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.making.assembly import AgentPath
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes
 from mast_zenoh.scenes.making.observe import World
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent, equip
 from mast_zenoh.scenes.making.virtual_agents import roof_sensors
@@ -95,20 +94,10 @@ class Surroundings:
     sensors: SensorsByAgent
 
 
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """n objects of one frame, in the order of their ids, and c cars that are agents.
+class Moment(NamedTuple):
+    """The objects of one frame, in the order of their ids, and the rows (c,) of those that are agents."""
 
-    id: (n,);  position: (n, 3) m;  velocity: (n, 3) m/s;  size: (n, 3) m;  yaw: (n,) rad;  class_id: (n,)
-    cars: (c,) rows of the agents' own objects
-    """
-
-    id: Ints
-    position: Floats
-    velocity: Floats
-    size: Floats
-    yaw: Floats
-    class_id: NDArray[np.uint8]
+    boxes: SceneBoxes
     cars: Ints
 
 
@@ -279,17 +268,18 @@ class SumoWorld(SteppedWorld):
         people = present.person.tolist()
         named = zip(present.names, people, strict=True)
         ids = np.array([self._id(f"person:{name}" if person else name) for name, person in named], np.int64)
-        order = np.flatnonzero(near)
-        order = order[np.argsort(ids[order])]
-        return Moment(
-            id=ids[order],
-            position=np.column_stack([middle, size[:, 2] / 2.0])[order],
-            velocity=np.column_stack([speed[:, None] * _direction(yaw), np.zeros(len(yaw))])[order],
-            size=size[order],
-            yaw=np.asarray(wrap_angle(yaw[order])),
-            class_id=np.array([type_of_class(shape.vehicle_class).class_id for shape in shapes], np.uint8)[order],
-            cars=np.searchsorted(ids[order], ids[own]),
+        boxes = SceneBoxes(
+            frame=np.zeros(len(ids), np.int64),
+            id=ids,
+            position=np.column_stack([middle, size[:, 2] / 2.0]),
+            size=size,
+            yaw=np.asarray(wrap_angle(yaw)),
+            class_id=np.array([type_of_class(shape.vehicle_class).class_id for shape in shapes], np.uint8),
+            velocity=np.column_stack([speed[:, None] * _direction(yaw), np.zeros(len(yaw))]),
         )
+        order = np.flatnonzero(near)
+        boxes = boxes.select(order[np.argsort(ids[order])])
+        return Moment(boxes, np.searchsorted(boxes.id, ids[own]))
 
     def _id(self, name: str) -> int:
         """The id of an object: its name if that is a number, and otherwise a digest of it.
@@ -312,11 +302,10 @@ class SumoWorld(SteppedWorld):
         """The world of some frames, one after the other."""
         poles, frames = self._surroundings.poles, len(moments)
         columns = ("id", "position", "velocity", "size", "yaw", "class_id")
-        truth = {name: np.concatenate([getattr(moment, name) for moment in moments]) for name in columns}
-        cars = [(moment, moment.cars) for moment in moments]
-        height = np.array([[0.0, 0.0, 0.5]])
-        middle = np.stack([moment.position[rows] - moment.size[rows] * height for moment, rows in cars])
-        yaw = np.stack([moment.yaw[rows] for moment, rows in cars])
+        truth = {name: np.concatenate([getattr(moment.boxes, name) for moment in moments]) for name in columns}
+        cars = [boxes.select(rows) for boxes, rows in moments]
+        middle = np.stack([each.position - each.size * np.array([[0.0, 0.0, 0.5]]) for each in cars])
+        yaw = np.stack([each.yaw for each in cars])
         times_ns = np.arange(frames, dtype=np.int64) * self._surroundings.period_ns
         name, period_ns = self._surroundings.name, self._surroundings.period_ns
         agents, rigs = equip(name, self._agents, self._surroundings.sensors, times_ns, period_ns)
@@ -326,7 +315,7 @@ class SumoWorld(SteppedWorld):
             period_ns=period_ns,
             times_ns=times_ns,
             truth=truth_states(truth),
-            truth_start=np.cumsum([0, *(len(moment.id) for moment in moments)]),
+            truth_start=np.cumsum([0, *(len(moment.boxes) for moment in moments)]),
             agent_position=np.concatenate([middle, *(_repeated(pole.position, frames) for pole in poles)], axis=1),
             agent_rotation=np.concatenate(
                 [
@@ -336,7 +325,7 @@ class SumoWorld(SteppedWorld):
                 axis=1,
             ),
             agent_velocity=np.concatenate(
-                [np.stack([moment.velocity[rows] for moment, rows in cars]), np.zeros((frames, len(poles), 3))], axis=1
+                [np.stack([each.velocity for each in cars]), np.zeros((frames, len(poles), 3))], axis=1
             ),
             buildings=self._surroundings.buildings,
             building_height=self._surroundings.building_height,
