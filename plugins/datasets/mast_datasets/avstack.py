@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,11 +24,11 @@ from mast_datasets.avstack_files import (
 from mast_datasets.traffic import ABOVE_0, DataSetScene
 from mast_zenoh.arrays.states import Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import AgentPath, DetectionColumns, SceneBoxes, assemble
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.own_detections import read_json_lines
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording, SceneAgent
 from mast_zenoh.scenes.recording_file import check_counts
-from mast_zenoh.sensing import Camera, Detector, LidarSensor
+from mast_zenoh.sensing import Camera, LidarSensor
 
 #: Object id of agent 0; agent k, if it is an object, has this plus k. The layout numbers agents and objects
 #: separately, both from 0, and its original reader gives the ego this id.
@@ -91,17 +91,16 @@ class AVstackScene(DataSetScene):
             _path(layout, numbers, number, k == 0, [each[number] for each in actors]) for k, number in enumerate(agents)
         ]
         make = partial(assemble, self.root.name, times, boxes, seed=seed, buildings=outlines, building_height=heights)
-        points = _points(
-            layout, boxes.id, start, numbers, agents, lambda: make(paths, _no_detections(times, paths)).points
-        )
+        none = Detections.empty(), np.zeros(len(times) * len(paths) + 1, np.int64), np.zeros(0, np.int64)
+        points = _points(layout, boxes.id, start, numbers, agents, lambda: make(paths, none).points)
         bottoms = np.split(boxes.position[:, 2] - boxes.size[:, 2] / 2, start[1:-1])
         ground = np.array([np.median(bottom) for bottom in bottoms])
         paths = [replace(path, points=points[:, k], ground=ground) for k, path in enumerate(paths)]
-        detected: Detector | DetectionColumns = self.detector
-        if self.replay and (file := layout.accompanying_file("detections.jsonl")) is not None:
-            turns = [path.rotation @ path.agent.sensor.mount_rotation for path in paths]
-            detected = read_json_lines(file, numbers, agents, np.stack(turns, axis=1))
-        return replace(make(paths, detected), times_ns=times)
+        file = layout.accompanying_file("detections.jsonl") if self.replay else None
+        if file is None:
+            return replace(make(paths, self.detector), times_ns=times)
+        turns = [path.rotation @ path.agent.sensor.mount_rotation for path in paths]
+        return replace(make(paths, read_json_lines(file, numbers, agents, np.stack(turns, axis=1))), times_ns=times)
 
     def _agents(self, actors: dict[int, ObjectState], run: Path) -> list[int]:
         """Numbers of the agents: the ego, other mobile agents, then static agents."""
@@ -164,10 +163,6 @@ def _boxes(objects: list[dict[int, ObjectState]]) -> tuple[SceneBoxes, Ints]:
         velocity=np.array([unknown if state.velocity is None else state.velocity for state in states]),
     )
     return boxes, np.cumsum([0, *map(len, objects)])
-
-
-def _no_detections(times: Ints, paths: Sequence[AgentPath]) -> DetectionColumns:
-    return Detections.empty(), np.zeros(len(times) * len(paths) + 1, np.int64), np.zeros(0, np.int64)
 
 
 def _path(layout: Layout, numbers: list[int], number: int, is_ego: bool, states: list[ObjectState]) -> AgentPath:
