@@ -299,15 +299,16 @@ class Measured(NamedTuple):
 class Row:
     """Numbers over the trials of one cell.
 
-    of: what it is of, by name;  trials: their number, or that of pairs;  numbers: by measure
+    of: what it is of, by name;  trials: their number, or that of pairs
+    numbers: by measure, each Measured or an Estimate
     """
 
     of: dict[str, Any]
     trials: int
-    numbers: Mapping[str, Measured]
+    numbers: Mapping[str, Any]
 
     def __getitem__(self, measure: str) -> Measured:
-        return self.numbers[measure]
+        return self.numbers[measure]  # type: ignore[no-any-return]
 
     @property
     def idle(self) -> bool:

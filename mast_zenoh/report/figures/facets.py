@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, SymLogNorm
+from matplotlib.figure import SubFigure
 from matplotlib.patches import Polygon
-from matplotlib.ticker import MaxNLocator, NullFormatter, ScalarFormatter
+from matplotlib.ticker import NullFormatter, ScalarFormatter
 from numpy.typing import ArrayLike
 
 from mast_zenoh.metrics.study_results import Estimate, Measured, Row
@@ -26,18 +27,21 @@ _APART = 0.012
 #: Factor between the ends of the axis of positive numbers from which it is logarithmic.
 _LOG = 10.0
 _SIZE = 9.5
+#: Up to so many numbers, each has its tick.
+_TICKS = 12
 
 
 class Axis(NamedTuple):
     """What one panel, or one column of panels, shows: a measure of rows, the label of its axis, and its factor.
 
-    log: whether the axis may be logarithmic
+    log: whether the axis may be logarithmic;  title: of its panels
     """
 
     measure: str
     label: str
     factor: float = 1.0
     log: bool = False
+    title: str = ""
 
 
 def facet(
@@ -51,19 +55,24 @@ def facet(
     label: str = "",
     size: tuple[float, float] = (4.6, 3.4),
     log: bool = False,
+    into: SubFigure | None = None,
+    title: str = "",
 ) -> Figure:
     """Curves of rows in a panel for each measure, or for each value of a name.
 
     x, hue, by: names of what rows are of: a number or a text, along the axis; what curves differ by, and panels
     y: the measures; one if there is `by`;  columns: of panels, 0: one line;  label: of x
     size: inches of a panel;  log: whether x is on a logarithmic axis
+    into: what it is drawn into, None: a new figure;  title: above the names of curves
     Texts of x are on lines below each other, and their numbers along the other axis.
     """
     groups = _values(rows, by) if by else [None]
     panels = [(axis, group) for axis in y for group in groups]
     columns = columns or len(panels)
     lines = -(-len(panels) // columns)
-    figure = Figure(figsize=(size[0] * columns, size[1] * lines), layout="constrained", facecolor="white")
+    # A part of a figure has all that is used of it here.
+    inches = size[0] * columns, size[1] * lines
+    figure = cast(Figure, into or Figure(figsize=inches, layout="constrained", facecolor="white"))
     ticks, hues = _values(rows, x), _values(rows, hue)
     across = any(isinstance(tick, str) for tick in ticks)
     places = {tick: float(at if across else tick) for at, tick in enumerate(ticks if across else sorted(ticks))}
@@ -91,15 +100,15 @@ def facet(
         else:
             _number_axis(axes, axis, positions, log)
             axes.set_ylabel(axis.label if axes is grid[0] or not by else "", fontsize=_SIZE, color=INK)
-        if by:
-            axes.set_title(plain(group), fontsize=_SIZE, color=INK, loc="left")
+        if by or axis.title:
+            axes.set_title(plain(group if by else axis.title), fontsize=_SIZE, color=INK, loc="left")
     for axes in grid[len(panels) :]:
         axes.set_visible(False)
     if across:
         grid[0].set_yticks(range(len(ticks)), labels=[plain(tick) for tick in ticks])
     elif label:
         figure.supxlabel(label, fontsize=_SIZE, color=INK)
-    legend_above(figure)
+    legend_above(figure, title=title)
     return figure
 
 
@@ -114,8 +123,8 @@ def _number_axis(axes: Axes, axis: Axis, positions: Any, log: bool) -> None:
         axes.set_xticks(positions, labels=[f"{at:g}" for at in positions], minor=False)
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.tick_params(axis="x", which="minor", length=0)
-    elif all(float(at).is_integer() for at in positions):
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    elif len(positions) <= _TICKS:
+        axes.set_xticks(positions, labels=[f"{at:g}" for at in positions])
     bottom, top = axes.get_ylim()
     if axis.log and bottom > 0.0 and top > _LOG * bottom:
         axes.set_yscale("log")
@@ -160,23 +169,30 @@ def curve(
     )
 
 
-def legend_above(figure: Figure, *others: Artist) -> None:
+def legend_above(figure: Figure, *others: Artist, title: str = "") -> None:
     """The legend of the curves of all panels and of others, above all panels."""
     named = {
         label: handle for axes in figure.axes for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
     named |= {str(other.get_label()): other for other in others}
+    named.pop("", None)
+    inches = figure.bbox.width / figure.dpi
     handles, labels = [*named.values()], [*named]
     for legend in list(figure.legends):
         legend.remove()
+    if not (named or title):
+        return
     figure.legend(
         handles,
         labels,
         loc="outside upper left",
-        ncols=max(1, min(len(labels), int(figure.get_figwidth() / (0.7 + 0.075 * max(map(len, labels), default=1))))),
+        ncols=max(1, min(len(labels), int(inches / (0.7 + 0.075 * max(map(len, labels), default=1))))),
         frameon=False,
         fontsize=9,
         labelcolor=INK,
+        title=title or None,
+        title_fontproperties={"weight": "bold", "size": 10.5},
+        alignment="left",
     )
 
 

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
-from matplotlib.ticker import MaxNLocator, NullLocator
 
-from mast_zenoh.metrics.study_results import MIN_SEEDS, Estimate, StudyFacts, StudyRow, plural
+from mast_zenoh.metrics.study_results import MIN_SEEDS, Estimate, Row, StudyFacts, StudyRow, plural
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
-from mast_zenoh.report.figures.style import LINE_STYLES, MARKERS, Figure, heat_map, light_axes, plain
+from mast_zenoh.report.figures.facets import Axis, facet
+from mast_zenoh.report.figures.style import Figure, heat_map, plain
 from mast_zenoh.report.tables.study_rows import PAPER, Column, over_trials
-from mast_zenoh.viewer.palette import INK, LOCAL, RUN_COLOURS
+from mast_zenoh.viewer.palette import INK
 
 #: Two numeric parameters with this many values each make a heat map instead of curves.
 MIN_FOR_HEAT_MAP = 4
@@ -158,7 +158,7 @@ _ADDED = "more than in the baseline"
 _OVER_SEEDS = "95 % interval over seeds of these scenes"
 
 
-class Axis(NamedTuple):
+class StudyAxis(NamedTuple):
     """One column of panels: title, label of y, and column of estimates."""
 
     title: str
@@ -167,16 +167,18 @@ class Axis(NamedTuple):
 
 
 #: The axes of the figures of increments, by file name.
-_INCREMENTS: dict[str, tuple[Axis, ...]] = {
+_INCREMENTS: dict[str, tuple[StudyAxis, ...]] = {
     "increments": (
-        Axis("False objects: picture", f"{_ADDED}, per frame", Column("", "fp_iob")),
-        Axis("Missed objects: picture", f"{_ADDED}, per frame", Column("", "fn_iob")),
-        Axis("False objects: compromised agents", f"{_ADDED}, per frame", PAPER[0][1][1]),
+        StudyAxis("False objects: picture", f"{_ADDED}, per frame", Column("", "fp_iob")),
+        StudyAxis("Missed objects: picture", f"{_ADDED}, per frame", Column("", "fn_iob")),
+        StudyAxis("False objects: compromised agents", f"{_ADDED}, per frame", PAPER[0][1][1]),
     ),
     "increments_mission": (
-        Axis("False objects: ego with the picture", f"{_ADDED}, per frame", Column("", "fp_iob", "mission")),
-        Axis("Missed objects: ego with the picture", f"{_ADDED}, per frame", Column("", "fn_iob", "mission")),
-        Axis("Identity switches: ego with the picture", f"{_ADDED}, per run", Column("", "id_switches_iob", "mission")),
+        StudyAxis("False objects: ego with the picture", f"{_ADDED}, per frame", Column("", "fp_iob", "mission")),
+        StudyAxis("Missed objects: ego with the picture", f"{_ADDED}, per frame", Column("", "fn_iob", "mission")),
+        StudyAxis(
+            "Identity switches: ego with the picture", f"{_ADDED}, per run", Column("", "id_switches_iob", "mission")
+        ),
     ),
 }
 _CAPTIONS = {
@@ -205,22 +207,24 @@ def figures_over_trials(rows: Sequence[StudyRow], facts: StudyFacts) -> dict[str
     return pictures
 
 
-def _success(rows: Sequence[StudyRow]) -> tuple[Axis, ...]:
+def _success(rows: Sequence[StudyRow]) -> tuple[StudyAxis, ...]:
     """Success rates of all adversaries together, at most three."""
     series = dict.fromkeys(series for row in rows for series, each in row.estimates.items() if each.rate)
     overall = [each for each in series if each.owner == "all"][:3]
     return tuple(
-        Axis(each.metric.replace("_", " "), "success rate (%)", Column("", each.metric, each.estimator, each.owner))
+        StudyAxis(
+            each.metric.replace("_", " "), "success rate (%)", Column("", each.metric, each.estimator, each.owner)
+        )
         for each in overall
     )
 
 
-def _seeds(rows: Sequence[StudyRow], axis: Axis) -> list[Estimate]:
+def _seeds(rows: Sequence[StudyRow], axis: StudyAxis) -> list[Estimate]:
     """The estimates with at least one seed."""
     return [each for row in rows if (each := axis.column.of(row)).seeds]
 
 
-def _footer(rows: Sequence[StudyRow], axes: Sequence[Axis], interval: str) -> str:
+def _footer(rows: Sequence[StudyRow], axes: Sequence[StudyAxis], interval: str) -> str:
     """Number of seeds and scenes behind the points, and the meaning of the bars."""
     known = [each for axis in axes for each in _seeds(rows, axis)]
     seeds, scenes = sorted({each.seeds for each in known}), sorted({each.scenes for each in known})
@@ -244,7 +248,7 @@ def _without_bar(estimates: Sequence[Estimate]) -> tuple[bool, bool, bool]:
     return few, equal, any(each.mostly_zero and not each.unchanged for each in bare)
 
 
-def _bar_notes(rows: Sequence[StudyRow], axes: Sequence[Axis]) -> str:
+def _bar_notes(rows: Sequence[StudyRow], axes: Sequence[StudyAxis]) -> str:
     """How to read the bars of increments, and why some points have no bar."""
     known = [each for axis in axes for each in _seeds(rows, axis)]
     few, equal, zero = _without_bar(known)
@@ -255,121 +259,65 @@ def _bar_notes(rows: Sequence[StudyRow], axes: Sequence[Axis]) -> str:
     return " ".join(sentences)
 
 
-def _render(name: str, figure: Figure, rows: Sequence[StudyRow], axes: Sequence[Axis]) -> RenderedFigure:
+def _render(name: str, figure: Figure, rows: Sequence[StudyRow], axes: Sequence[StudyAxis]) -> RenderedFigure:
     first = axes[0]
     caption = f"{_CAPTIONS[name]} {_bar_notes(rows, axes)}" if name in _INCREMENTS else _CAPTIONS[name]
     values = "; ".join(f"{row.label} {over_trials(each)}" for row in rows if (each := first.column.of(row)).seeds)
     return render(name, figure, f"{first.title}, {first.label}: {values}.", caption, printed=True)
 
 
-def _draw(all_panels: Sequence[Panel], columns: Sequence[Axis], footer: str) -> Figure:
+def _draw(all_panels: Sequence[Panel], columns: Sequence[StudyAxis], footer: str) -> Figure:
     """A row of axes per panel, one for each of `columns`.
 
     Heat maps of a column share their colour scale.
     """
     width = 11.25
-    heights = [3.5 + 0.25 * (_legend_lines(panel, width) + bool(panel.title)) for panel in all_panels]
+    heights = [3.75 + 0.25 * bool(panel.title) for panel in all_panels]
     figure = Figure(figsize=(width, sum(heights) + 0.3), layout="constrained", facecolor="white")
     strips = figure.subfigures(len(all_panels), 1, height_ratios=heights, squeeze=False)[:, 0]
     all_rows = [row for panel in all_panels for curve in panel.curves for row in curve.rows]
     for strip, panel in zip(strips, all_panels, strict=True):
+        if not panel.y:
+            _curves(strip, panel, columns)
+            continue
         for axes, (title, label, column) in zip(
             strip.subplots(1, len(columns), squeeze=False)[0], columns, strict=True
         ):
-            if panel.y:
-                sizes = [abs(column.of(row).trial_mean) for row in all_rows if column.of(row).seeds]
-                _heat_map(axes, panel, column, max(sizes, default=0.0) or 1.0)
-            else:
-                _curves(axes, panel, column)
-            axes.set_title(f"{title}\n{label}" if panel.y else title, fontsize=9.5, color=INK, loc="left")
+            sizes = [abs(column.of(row).trial_mean) for row in all_rows if column.of(row).seeds]
+            _heat_map(axes, panel, column, max(sizes, default=0.0) or 1.0)
+            axes.set_title(f"{title}\n{label}", fontsize=9.5, color=INK, loc="left")
             axes.set_xlabel(plain(label_of(panel.x)), fontsize=9.5, color=INK)
-            axes.set_ylabel(plain(label_of(panel.y)) if panel.y else label, fontsize=9.5, color=INK)
-        _name(strip, panel, width)
+            axes.set_ylabel(plain(label_of(panel.y)), fontsize=9.5, color=INK)
+        if panel.title:
+            strip.suptitle(plain(panel.title), fontsize=10.5, fontweight="bold", color=INK, x=0.01, ha="left")
     figure.supxlabel(textwrap.fill(footer, int(12 * width)), fontsize=8.5, color=INK)
     return figure
 
 
-def _name(strip: SubFigure, panel: Panel, width: float) -> None:
-    """The title of a panel and the legend of its curves, above it."""
-    lines = _legend_lines(panel, width)
-    title = plain(panel.title)
-    if lines:
-        handles, labels = strip.axes[0].get_legend_handles_labels()
-        strip.legend(
-            handles,
-            labels,
-            loc="outside upper left",
-            ncols=-(-len(labels) // lines),
-            frameon=False,
-            fontsize=9.5,
-            labelcolor=INK,
-            title=title or None,
-            title_fontproperties={"weight": "bold", "size": 10.5},
-            alignment="left",
+def _curves(strip: SubFigure, panel: Panel, columns: Sequence[StudyAxis]) -> None:
+    """A panel for each column, with one curve per run or value; texts are on lines below each other."""
+    rows = [
+        Row(
+            {"x": (row.point[panel.x] if panel.numeric else text_of(row.point[panel.x])) if panel.x else row.label}
+            | {"curve": curve.label},
+            0,
+            {title: column.of(row) for title, _, column in columns},
         )
-    elif title:
-        strip.suptitle(title, fontsize=10.5, fontweight="bold", color=INK, x=0.01, ha="left")
-
-
-def _legend_lines(panel: Panel, width: float) -> int:
-    """Number of lines of a panel's legend; 0: no legend."""
-    if panel.y or len(panel.curves) < 2:
-        return 0
-    longest = max(len(curve.label) for curve in panel.curves)
-    return -(-len(panel.curves) // max(1, int(width / (0.6 + 0.085 * longest))))
-
-
-def _counts_adversaries(panel: Panel) -> bool:
-    """Whether x is the number of adversaries, and none of the panel's configurations is without any."""
-    return panel.numeric and panel.x.rpartition(".")[2] == "n_adversaries" and 0 not in panel.ticks
-
-
-def _curves(axes: Axes, panel: Panel, column: Column) -> None:
-    """One curve per run or value; points of categories are not joined."""
-    light_axes(axes)
-    axes.axhline(0.0, color=LOCAL, linewidth=0.8)
-    places = np.array([float(tick) if panel.numeric else index for index, tick in enumerate(panel.ticks)])  # type: ignore[arg-type]
-    log = panel.numeric and len(places) > 2 and places.min() > 0.0 and places.max() / places.min() >= _LOG_FROM
-    axes.set_xscale("log" if log else "linear")
-    positions = np.log(places) if log else places
-    rates = False
-    for index, curve in enumerate(panel.curves):
-        estimates = [column.of(row) for row in curve.rows]
-        rate = any(each.rate for each in estimates)
-        rates |= rate
-        scale = 100.0 if rate else 1.0
-        mean, low, high = (
-            scale * np.array([getattr(each, name) for each in estimates]) for name in ("trial_mean", "low", "high")
-        )
-        offset = 0.02 * (np.ptp(positions) or 1.0) * (index - (len(panel.curves) - 1) / 2)  # avoids overlapping bars
-        x = positions[[panel.ticks.index(row.point[panel.x] if panel.x else row.label) for row in curve.rows]] + offset
-        axes.errorbar(
-            np.exp(x) if log else x,
-            mean,
-            yerr=np.nan_to_num([mean - low, high - mean]),
-            color=RUN_COLOURS[(index + 1) % len(RUN_COLOURS)],  # the first colour is the baseline's
-            marker=MARKERS[index % len(MARKERS)],
-            linestyle=LINE_STYLES[index % len(LINE_STYLES)] if panel.numeric else "none",
-            markersize=5,
-            linewidth=1.8,
-            capsize=3,
-            label=plain(curve.label),
-        )
-        if rate:
-            axes.set_ylim(-5.0, 105.0)
-    ticks = panel.ticks
-    if rates and _counts_adversaries(panel):  # no adversary, no success
-        places, ticks = np.concatenate([[0.0], places]), (0, *ticks)
-        axes.set_xscale("linear")
-        axes.plot([0.0], [0.0], marker="o", markersize=5, markerfacecolor="white", color=LOCAL, linestyle="none")
-    axes.set_xticks(places, [plain(text_of(tick)) for tick in ticks])
-    axes.xaxis.set_minor_locator(NullLocator())
-    if not panel.numeric and max(len(plain(text_of(tick))) for tick in panel.ticks) > 8:
-        axes.tick_params(axis="x", rotation=25)
-        for text in axes.get_xticklabels():
-            text.set(ha="right", rotation_mode="anchor")
-    axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    axes.margins(x=0.12 if panel.numeric else 0.5 / len(places))
+        for curve in panel.curves
+        for row in curve.rows
+    ]
+    axes = []
+    for title, label, _ in columns:
+        rate = any(row.numbers[title].rate for row in rows)
+        axes.append(Axis(title, label, 100.0 if rate else 1.0, title=title))
+        # No adversary, no success.
+        if rate and panel.x.rpartition(".")[2] == "n_adversaries" and panel.numeric and 0 not in panel.ticks:
+            nothing = {each: Estimate(trial_mean=0.0) for each, *_ in columns}
+            rows.append(Row({"x": 0, "curve": ""}, 0, nothing))
+    numbers = [float(row.of["x"]) for row in rows] if panel.numeric else []
+    wide = len(panel.ticks) > 2 and min(numbers, default=0.0) > 0.0 and max(numbers) / min(numbers) >= _LOG_FROM
+    label = plain(label_of(panel.x)) if panel.numeric else ""
+    facet(rows, "x", axes, "curve", label=label, log=wide, into=strip, title=plain(panel.title))
 
 
 def _heat_map(axes: Axes, panel: Panel, column: Column, scale: float) -> None:

@@ -73,7 +73,6 @@ class DrivingRow(Row):
     flawed:  whether it, or what it is compared with, has any
     """
 
-    numbers: Mapping[str, Any]
     flaws: Mapping[str, int]
     flawed: bool
 

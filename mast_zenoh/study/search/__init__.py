@@ -5,7 +5,7 @@
     plan       the section `search` of a study file
     searching  carries out a search, then measures its result on seeds that it has not seen
     results    what was found: Optuna's study of the candidates, and each configuration on the other seeds
-    tables, figure, files  what a reader sees of it
+    report     what a reader sees of it: tables, a figure, files
 
 See docs/search.md.
 """

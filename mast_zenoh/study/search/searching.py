@@ -40,7 +40,7 @@ from mast_zenoh.launch import ending
 from mast_zenoh.study import execution, numbers, tables, trials
 from mast_zenoh.study.definition import Configuration, Study, settings_of
 from mast_zenoh.study.numbers import ego
-from mast_zenoh.study.search import files, results
+from mast_zenoh.study.search import results
 from mast_zenoh.study.search.plan import CANDIDATE, SEARCHED, SearchPlan
 from mast_zenoh.study.search.results import SearchResults
 from mast_zenoh.study.search.space import as_text, corners, value_at
@@ -91,7 +91,9 @@ def run(
             study = search.study
             rows = results.rows(study, held_out, store, search.values)
             found = SearchResults(study, candidates, rows, defaults(study), count)
-            own = files.write(store.folder, found)
+            from mast_zenoh.study.search import report  # drawing libraries are slow to load
+
+            own = report.write(store.folder, found)
             finished = tables.write(study, store, held_out, search.failures, own)
         except (KeyboardInterrupt, Interrupted, OSError) as caught:
             raise ending.with_hint(caught, trials.how_to_continue(store)) from None

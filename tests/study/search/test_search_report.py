@@ -16,10 +16,10 @@ from search_samples import BASELINE, DEFAULT, estimate, results, with_rows
 
 from mast_zenoh.metrics.study_results import Estimate
 from mast_zenoh.report.figures.style import Figure
-from mast_zenoh.study.search import figure as search_figures
+from mast_zenoh.study.search import report as search_figures
 from mast_zenoh.study.search.plan import SEARCHED
+from mast_zenoh.study.search.report import candidates_csv, search_tables, short_names
 from mast_zenoh.study.search.results import SearchResults, SearchRow
-from mast_zenoh.study.search.tables import candidates_csv, search_tables, short_names
 
 
 def shown(of: SearchResults) -> str:

@@ -1,0 +1,296 @@
+"""What a reader sees of a search: tables, a figure, and all results as JSON.
+
+Optuna's own plots draw with pyplot and change the style of all figures, know neither intervals nor differences from no
+attack, and have no panel beside them.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from mast_zenoh import run_folder
+from mast_zenoh.metrics.study_results import Estimate, plural
+from mast_zenoh.report.figures.drawing import RenderedFigure, render
+from mast_zenoh.report.figures.facets import curve
+from mast_zenoh.report.figures.style import LINE_STYLES, Figure, light_axes, plain
+from mast_zenoh.report.tables.study_rows import MOSTLY_ZERO, over_trials
+from mast_zenoh.report.tables.text_table import DASH, ResultTables, TextTable, csv_text, digits, number
+from mast_zenoh.run_folder import write_bytes
+from mast_zenoh.study.defences.kinds import StudyFiles
+from mast_zenoh.study.search.plan import SEARCHED
+from mast_zenoh.study.search.results import ESTIMATES, SearchResults, SearchRow
+from mast_zenoh.study.search.space import as_text
+from mast_zenoh.viewer.palette import INK, LOCAL, RUN_COLOURS
+
+
+def write(folder: Path, results: SearchResults) -> StudyFiles:
+    """Write search.md, search.csv, candidates.csv, search.json and the figure into the study's folder."""
+    tables, figure = search_tables(results), search_figure(results)
+    texts = {
+        "search.md": tables.as_markdown(),
+        "search.csv": tables.as_csv(),
+        "candidates.csv": candidates_csv(results),
+    }
+    for name, text in texts.items():
+        write_bytes(folder / name, text.encode())
+    run_folder.write_json(folder / "search.json", run_folder.finite(as_json(results)))
+    figure.save(folder)
+    return StudyFiles(tables, {figure.name: figure}, [*texts, "search.json", *figure.names], on_page=False)
+
+
+def as_json(results: SearchResults) -> dict[str, Any]:
+    """All results as plain values; numbers that are not known are NaN."""
+    study, plan, best = results.study, results.plan, results.candidates.best_trial
+    optimism, over_baseline = results.optimism
+    return {
+        "name": study.name,
+        "objective": plan.objective.text,
+        "direction": "maximise" if plan.maximise else "minimise",
+        "sampler": results.sampler,
+        "parameters": {name: as_text(each) for name, each in plan.space.items()},
+        "scenes": [scene.label for scene in study.scenes],
+        "frames": study.frames,
+        "search_seeds": list(results.search_seeds),
+        "held_out_seeds": list(results.held_out_seeds),
+        "baseline": study.baseline,
+        "default": {"configuration": plan.run, "values": dict(results.defaults)},
+        "searched": {
+            "configuration": SEARCHED,
+            "candidate": best.number + 1,
+            "values": best.params,
+            "optimism": optimism,
+            "optimism_over_baseline": over_baseline,
+        },
+        "results": [asdict(row) for row in results.rows.values()],
+        "candidates": [
+            {"candidate": number + 1, "batch": number // plan.batch + 1, "values": each.params, "value": value}
+            for number, (each, value) in enumerate(zip(results.candidates.trials, results.values, strict=True))
+        ],
+    }
+
+
+# -- tables ------------------------------------------------------------------------------------------------------------
+
+#: So many candidates are in the table; all are in candidates.csv.
+MOST = 10
+#: Decimals of parameters.
+_DIGITS = 4
+_HEADINGS = ("configuration", "search seeds", "held-out seeds", "minus no attack", "minus default")
+#: The columns of search.csv.
+_COLUMNS = (
+    "configuration",
+    "search",
+    *(f"{name}{suffix}" for name in ESTIMATES for suffix in ("", "_low", "_high")),
+    *("p_over_baseline", "p_over_default", "seeds", "seeds_left_out", "optimism", "optimism_over_baseline"),
+)
+
+
+def search_tables(results: SearchResults) -> ResultTables:
+    """All tables of a search."""
+    objective, rows = results.plan.objective, results.rows.values()
+    task = f"{'Maximised' if results.plan.maximise else 'Minimised'}: {objective.label} (`{objective.text}`)"
+    held_out = TextTable(task, _optimism(results), _HEADINGS, [_line(row) for row in rows], 1)
+    brief = (held_out, _parameters(results))
+    return ResultTables(
+        title=f"Search {results.study.name}",
+        about=f"{task}. {results.size}. Sampler: {results.sampler}.",
+        size=results.size,
+        tables=(*brief, _best(results)),
+        numbers=(_COLUMNS, [_numbers(row, results) for row in rows]),
+        brief=brief,
+    )
+
+
+def _estimates(row: SearchRow) -> list[Estimate]:
+    return [getattr(row, name) for name in ESTIMATES]
+
+
+def _line(row: SearchRow) -> list[str]:
+    texts = (over_trials(each) if each.seeds else DASH for each in _estimates(row))
+    return [row.configuration, number(row.search), *texts]
+
+
+def _numbers(row: SearchRow, results: SearchResults) -> Sequence[object]:
+    """A line of search.csv, with all digits."""
+    bounds = [value for each in _estimates(row) for value in digits(each.trial_mean, each.low, each.high)]
+    p = digits(row.over_baseline.p, row.over_default.p)
+    optimism = digits(*results.optimism) if row.configuration == SEARCHED else ["", ""]
+    seeds = row.held_out.seeds, row.held_out.left_out
+    return [row.configuration, *digits(row.search), *bounds, *p, *seeds, *optimism]
+
+
+def _optimism(results: SearchResults) -> str:
+    """How far to believe the search's own value."""
+    plan, rows, best = results.plan, results.rows, results.candidates.best_trial
+    row, baseline, default = rows[SEARCHED], rows[results.study.baseline], rows[plan.run]
+    held_out, known = row.held_out, [each for each in results.values if not math.isnan(each)]
+    optimism, added_optimism = map(number, results.optimism)
+    added = (
+        f"; as the difference from no attack, {number(row.search - baseline.search)} and "
+        f"{number(row.over_baseline.trial_mean)}, {added_optimism} too good"
+    )
+    sentences = [
+        f"No attack: {baseline.configuration}. Default: {default.configuration}.",
+        f"The result is candidate {best.number + 1} of {plan.candidates}. Optimism of the search: {number(row.search)} "
+        f"on its own seeds, {number(held_out.trial_mean)} on held-out seeds, {optimism} too good"
+        f"{added if results.over_baseline else ''}.",
+    ]
+    if len(known) > 1 and min(known) == max(known):
+        sentences += ["All candidates have the same value: within these ranges, nothing that is searched changes it."]
+    elif (row.search <= default.search) if plan.maximise else (row.search >= default.search):
+        sentences.append(
+            f"The search found nothing better than the default: {number(default.search)} with its parameters, "
+            f"{number(row.search)} with the best of the candidates, on the same seeds."
+        )
+    if held_out.left_out:
+        seeds = plural(held_out.left_out, "held-out seed")
+        sentences.append(f"Left out: {seeds}, because a trial failed or has no value.")
+    if without := plan.candidates - len(known):
+        sentences.append(f"Without a value, so never chosen: {plural(without, 'candidate')}.")
+    sentences.append("Brackets: 95 % interval over seeds; differences are paired by scene and seed.")
+    if any(each.mostly_zero for of_label in rows.values() for each in _estimates(of_label)):
+        sentences.append(MOSTLY_ZERO)
+    return " ".join(sentences)
+
+
+def _parameters(results: SearchResults) -> TextTable:
+    space, best = results.plan.space, results.candidates.best_params
+    lines = [
+        (short, as_text(values), _value(results.defaults.get(name, DASH)), _value(best[name]))
+        for short, (name, values) in zip(short_names(list(space)), space.items(), strict=True)
+    ]
+    about = f"{DASH}: not known." if len(results.defaults) < len(space) else ""
+    return TextTable("Parameters", about, ("parameter", "range", "default", "searched"), lines, 1)
+
+
+def short_names(names: Sequence[str]) -> list[str]:
+    """Dotted names without their first steps, as far as they stay different: `selection.region` becomes `region`."""
+    shortened = ([".".join(name.split(".")[-kept:]) for name in names] for kept in count(1))
+    return next(short for short in shortened if len({*short}) == len(names))
+
+
+def _best(results: SearchResults) -> TextTable:
+    """The best candidates on the search's seeds."""
+    space, sign = list(results.plan.space), -1.0 if results.plan.maximise else 1.0
+    known = [each for each in zip(results.values, results.candidates.trials, strict=True) if not math.isnan(each[0])]
+    best = sorted(known, key=lambda each: sign * each[0])[:MOST]
+    return TextTable(
+        f"Best candidates on the search's seeds, {len(best)} of {results.plan.candidates}",
+        "",
+        ("candidate", *short_names(space), "value"),
+        [(str(each.number + 1), *(_value(each.params[name]) for name in space), number(value)) for value, each in best],
+        1,
+    )
+
+
+def _value(value: Any) -> str:
+    """A parameter's value for readers."""
+    return f"{value:.{_DIGITS}g}" if isinstance(value, float) else str(value)
+
+
+def candidates_csv(results: SearchResults) -> str:
+    """All candidates with all digits, in the order in which they were proposed."""
+    space, batch = results.plan.space, results.plan.batch
+    lines = [
+        [each.number + 1, each.number // batch + 1, *(each.params[name] for name in space), *digits(*values)]
+        for each, *values in zip(results.candidates.trials, results.values, results.best_so_far, strict=True)
+    ]
+    return csv_text(["candidate", "batch", *space, "value", "best"], lines)
+
+
+# -- figure ------------------------------------------------------------------------------------------------------------
+
+#: Colours of no attack, of the default, and of what the search found.
+_BASELINE, _DEFAULT, _SEARCHED = LOCAL, RUN_COLOURS[0], RUN_COLOURS[1]
+_WIDTH, _HEIGHT = 10.0, 4.4
+#: Characters of a line of a label.
+_LABEL, _TICK = 36, 12
+#: The ring around the search's own value of its result, in both panels.
+_RING: dict[str, Any] = dict(
+    marker="o", markersize=9, markerfacecolor="none", markeredgewidth=1.6, color=_SEARCHED, linestyle="none", zorder=5
+)
+
+
+def search_figure(results: SearchResults) -> RenderedFigure:
+    """Candidates in their order on the search's seeds; next to it, held-out seeds with 95 % intervals.
+
+    Both show differences from no attack if the objective has a value there: these are paired by scene and seed, so that
+    it does not matter how hard the seeds are.
+    """
+    label, over_baseline = results.plan.objective.label, results.over_baseline
+    figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained", facecolor="white")
+    in_order, held_out = figure.subplots(1, 2, sharey=True, width_ratios=(2.1, 1.0))
+    offset = results.rows[results.study.baseline].search if over_baseline else 0.0
+    _candidates(in_order, results, offset)
+    _held_out(held_out, results, offset)
+    words = f"{label}, minus no attack" if over_baseline else label
+    in_order.set_ylabel(plain("\n".join(textwrap.wrap(words, _LABEL))), fontsize=9.5, color=INK)
+    handles, labels = in_order.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=5, frameon=False, fontsize=9, labelcolor=INK)
+    caption = (
+        f"{'Higher' if results.plan.maximise else 'Lower'} is better for the attacker ({results.size}). Left: every "
+        "candidate on the search's seeds. Right: seeds that the search has not seen, with 95 % intervals over seeds; "
+        "no bar: fewer than five seeds, equal values, or no change in most trials. The ring is the search's own value "
+        f"of its result: it is {number(results.optimism[over_baseline])} better than that on held-out seeds."
+    )
+    rows = [row for row in results.rows.values() if row.held_out.seeds]
+    values = "; ".join(f"{row.configuration} {over_trials(row.held_out)}" for row in rows)
+    alt = f"Search over {results.plan.candidates} candidates. {label} on held-out seeds: {values}."
+    return render("search", figure, alt, caption, printed=True)
+
+
+def _candidates(axes: Axes, results: SearchResults, offset: float) -> None:
+    _begin(axes, "search", results.search_seeds)
+    at = np.arange(1, results.plan.candidates + 1)
+    values, best = np.array(results.values) - offset, np.array(results.best_so_far) - offset
+    axes.scatter(at, values, s=22, color=_SEARCHED, alpha=0.5, linewidths=0.0, label="candidate")
+    axes.step(at, best, where="post", color=_SEARCHED, linewidth=1.8, label="best so far")
+    axes.plot(results.candidates.best_trial.number + 1, best[-1], label="result of the search", **_RING)
+    default = results.rows[results.plan.run]
+    if not math.isnan(default.search):
+        label = plain(f"{default.configuration} (default)")
+        axes.axhline(default.search - offset, color=_DEFAULT, linestyle=LINE_STYLES[1], linewidth=1.6, label=label)
+    _no_attack(axes, results)
+    axes.set_xlabel("candidate", fontsize=9.5, color=INK)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.set_xlim(0.0, len(at) + 1.0)
+
+
+def _held_out(axes: Axes, results: SearchResults, offset: float) -> None:
+    _begin(axes, "held out", results.held_out_seeds)
+    _no_attack(axes, results)
+    estimates = {
+        label: row.over_baseline if results.over_baseline else row.held_out for label, row in results.rows.items()
+    }
+    shown = {label: estimate for label, estimate in estimates.items() if not math.isnan(estimate.trial_mean)}
+    colours, free = {results.plan.run: 0, SEARCHED: 1}, count(2)
+    for at, (label, estimate) in enumerate(shown.items()):
+        curve(axes, [at], [estimate], colours[label] if label in colours else next(free), "")
+    if SEARCHED in shown:
+        axes.plot(list(shown).index(SEARCHED), results.candidates.best_value - offset, **_RING)
+    axes.set_xticks(range(len(shown)), [plain("\n".join(textwrap.wrap(label, _TICK))) for label in shown])
+    axes.set_xlim(-0.6, len(shown) - 0.4)
+    axes.tick_params(axis="y", labelleft=True)
+
+
+def _begin(axes: Axes, name: str, seeds: range) -> None:
+    light_axes(axes)
+    which = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
+    axes.set_title(f"{name}, {which}", fontsize=9.5, color=INK, loc="left")
+
+
+def _no_attack(axes: Axes, results: SearchResults) -> None:
+    """The line of no attack."""
+    if results.over_baseline:
+        label = plain(f"{results.study.baseline} (no attack)")
+        axes.axhline(0.0, color=_BASELINE, linestyle=LINE_STYLES[2], linewidth=1.6, label=label)
