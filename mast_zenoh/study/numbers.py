@@ -126,6 +126,13 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
         yield from _of_defence(metrics["integrity"])
 
 
+def of_kind(kind: str, measures: Mapping[str, Any]) -> Iterator[Number]:
+    """The measures of a kind of study that are single numbers, of all agents together."""
+    for name, value in measures.items():
+        if isinstance(value, (int, float)):
+            yield Number("all", kind, name, float(value), binary=isinstance(value, bool))
+
+
 def _of_defence(integrity: Mapping[str, Any]) -> Iterator[Number]:
     """What a defence did, for all agents together; the delay is NaN if no liar was suspended."""
     liars = [agent for agent in integrity["agents"].values() if agent["lied"]]

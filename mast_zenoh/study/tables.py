@@ -143,16 +143,16 @@ def _write_parquet(
             baseline = next((each for each in group if each.trial.configuration == study.baseline), None)
             for outcome in group:
                 label = outcome.trial.configuration
-                trial_numbers = numbers.values(outcome, baseline)
+                trial_numbers = [*numbers.values(outcome, baseline)]
                 attacked = outcome.trial.idle is None  # an attack that never began neither succeeded nor failed
                 samples.add(
                     outcome, trial_numbers if attacked else [n for n in trial_numbers if n.estimator != ACHIEVED]
                 )
+                if kind is not None:
+                    trial_numbers += numbers.of_kind(kind.name, kind.add(outcome))
                 trial_file.append(per_trial.add(to_arrow(numbers.columns(outcome.trial, trial_numbers)), label))
                 frame_file.append(per_frame.add(to_arrow(numbers.frames(outcome)), label))
                 done[label] += 1
-                if kind is not None:
-                    kind.add(outcome)
     return done, samples.rows()
 
 
@@ -258,15 +258,16 @@ def failed_trial(trial: Trial, error: str) -> FailedTrial:
 
 
 def parameters(study: Study) -> dict[str, dict[str, Value]]:
-    """The values of each parameter by configuration label.
+    """The values of each parameter of a grid, and of each factor, by configuration label; without those that are None.
 
     A parameter whose values are not all numbers has text. Configurations of runs that do not sweep the parameter are
     absent.
     """
     result: dict[str, dict[str, Any]] = {}
     for configuration in study.configurations:
-        for name, value in configuration.point:
-            result.setdefault(name, {})[configuration.label] = value
+        for name, value in (dict(configuration.point) | configuration.factors).items():
+            if value is not None:
+                result.setdefault(name, {})[configuration.label] = value
     return {name: values if _numeric(values) else _as_text(values) for name, values in result.items()}
 
 

@@ -107,10 +107,11 @@ class Kind(ABC):
         """The figures of the rows."""
         return {}
 
-    def add(self, outcome: Outcome) -> None:
-        """Add a finished trial."""
+    def add(self, outcome: Outcome) -> Mapping[str, Any]:
+        """Add a finished trial; returns its measures."""
         factors = self._factors[outcome.trial.configuration]
-        self.trials[factors][outcome.trial.key] = self.measures(factors, outcome)
+        measures = self.trials[factors][outcome.trial.key] = self.measures(factors, outcome)
+        return measures
 
     def values(self, factors: Factors, name: str) -> Floats:
         """(trials,) a number of each trial planned for a configuration, in the order of the study; NaN: it has none."""

@@ -280,6 +280,8 @@ def test_a_users_own_kind_is_one_file_that_workers_find_by_its_name(tmp_path: Pa
     assert (finished.path / "misses.md").read_text().splitlines()[-1].startswith("| 2 | ")
     assert "1,fn," in (finished.path / "misses.csv").read_text()
     assert "Misses" in (finished.path / "report.html").read_text()
+    rows = [row for row in finished.results.to_pylist() if row["estimator"] == "misses"]
+    assert [(row["poles"], row["who"], row["metric"]) for row in rows] == [(1, "all", "fn"), (2, "all", "fn")]
     (tmp_path / "mine.py").write_text(KIND.replace('Misses"', 'Missed"'))
     trial.files_key.cache_clear()  # as in a new process
     again = trials.plan(definition.load(str(tmp_path / "mine.py")), count=1, seed=0, frames=5, runtime="inproc")
