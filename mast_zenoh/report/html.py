@@ -222,7 +222,7 @@ def write_page(
 
 def _estimate(run: Run, reference: Reference | None) -> str:
     """The ego's estimate with the largest change, if it has boxes, else the picture."""
-    change = largest_change(run, reference.run if reference else None)
+    change = largest_change(run, reference)
     drawable = change is not None and change.agent == run.ego and has_boxes(run, change.estimate)
     return change.estimate if change is not None and drawable else "picture"
 
@@ -242,13 +242,14 @@ def write_study_report(
     """
     folders = {label: Run(path) for label, path in runs.items()}
     reference = "baseline" if "baseline" in folders else next(iter(folders))
-    largest_changes = [largest_change(run, folders[reference]) for run in folders.values()]
+    over = Reference(folders[reference], reference)
+    largest_changes = [largest_change(run, over) for run in folders.values()]
     change = max((each for each in largest_changes if each), key=lambda each: abs(each.weight), default=None)
     estimate = change.estimate if change and change.estimate in PANELS else "mission" if change else "picture"
     chosen = choose_common_frame(list(folders.values()), folders[reference], estimate)
     frame_views = {label: _view_to_show(run, frame, chosen) for label, run in folders.items()}
     table = _scores(folders, reference)
-    title, sentences = of_compared(folders, Reference(folders[reference], reference))
+    title, sentences = of_compared(folders, over)
     pages: list[dict[str, Any]] = []
     for label, run in folders.items():
         page, path = _write_run(FigureContext(run, frame_views[label]), study=study_folder)

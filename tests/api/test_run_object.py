@@ -158,6 +158,7 @@ def test_the_repr_of_a_run_is_one_line(attacked: mast.Run) -> None:
     assert "ok, 60 frames, seed 3, inproc" in repr(attacked)
     assert "false objects a frame in the common picture" in attacked.headline
     assert attacked.headline in attacked._repr_html_()
+    assert [each.kind for each in attacked.findings[:2]] == ["adversaries", "change"]
     assert attacked.name == "uncoordinated"
     assert attacked.summary["frames"] == 60
 

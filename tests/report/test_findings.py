@@ -178,6 +178,7 @@ def test_findings_on_one_run(
     for fields in expected:
         assert found(run, **fields), fields
     assert not found(run, **absent)
+    assert len(said(run, findings(run))) == len(findings(run)), "each kind has a phrase"
 
 
 WORDS = Path(__file__).parent / "words"

@@ -54,7 +54,7 @@ def outcome(run: Run, reference: Reference | None = None) -> list[Finding]:
 def details(run: Run, reference: Reference | None = None) -> list[Finding]:
     """What the paragraph below the headline says: of a run that failed its outcome, then what else there is to say."""
     over, told = of_errors(run, reference), outcome(run, reference)
-    change = largest_change(run, None if over is None else over.run)
+    change = largest_change(run, over)
     failed = tuple(str(each["name"]) for each in run.files.checks.get("checks", ()) if not each["ok"])
     every = [
         *(results.missed(run) if change is not None or any(each.changed for each in interposers(run)) else []),
@@ -88,5 +88,5 @@ def _harm(run: Run, reference: Reference) -> tuple[float, ...]:
     counts, over = cars.worst(run, reference), of_errors(run, reference)
     events = [sum(each.value or 0.0 for each in counts if each.what == what) for what in ("hits", "needless")]
     lost_m = sum((each.other or 0.0) - (each.value or 0.0) for each in counts if each.what == "way")
-    change = None if over is None else largest_change(run, over.run)
+    change = None if over is None else largest_change(run, over)
     return (*events, lost_m, 0.0 if change is None else abs(change.weight))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from mast_zenoh.wiring.model import peer_of
 
 #: Agents that are named as senders; more are counted.
 _MOST_SENDERS = 2
+#: Effects that need other words.
+_WORDS = {"reframed": "changed outside their objects"}
 #: Lidar points with which an agent detects an object, as in `seen_by_others` of targets.parquet.
 _MIN_POINTS = 5
 
@@ -104,10 +107,7 @@ def effects(interposer: Interposer) -> tuple[str, ...]:
     for effect in dict.fromkeys((*WITH_COLUMN, *counts)):
         if not counts.get(effect) or effect == "unsettled":
             continue
-        what, done = (
-            plural(counts[effect], "message"),
-            effect if effect != "reframed" else "changed outside their objects",
-        )
+        what, done = plural(counts[effect], "message"), _WORDS.get(effect, effect)
         if effect in OF_OBJECTS:
             number, clutter = interposer.objects.get(effect, (0, False))
             kinds = [plural(number, "object")] * bool(number) + ["clutter"] * clutter
@@ -131,69 +131,62 @@ def limits(run: Run, reference: Reference | None = None) -> list[Finding]:
     reference: the run that it is compared with; None: by the run's own measurements
     """
     over = of_errors(run, reference)
-    other = None if over is None else over.run
-    change = largest_change(run, other)
-    blamed = culprit_names(run, change, other) if change is not None else []
+    change = largest_change(run, over)
+    blamed = culprit_names(run, change, over) if change is not None else []
     return [
-        Finding("limited", (each.name,), *reason)
+        reason
         for each in hostile(run)
         for reason in _reasons(run, each, change.kind if change is not None and each.name in blamed else "")
     ]
 
 
-#: What is manipulated, the share that is measured, its unit, where, when and why: fields of a finding from `what` on.
-_Reason = tuple[str, float | None, None, str, str, None, tuple[str, ...]]
-
-
-def _reason(cause: str, what: str = "", value: float | None = None, where: str = "", unit: str = "") -> _Reason:
-    return what, value, None, unit, where, None, (cause,)
-
-
-def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[_Reason]:
+def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[Finding]:
     """Reasons for limited effects of one interposer.
 
     blamed_for: the kind of the largest change if this interposer causes it, else empty
     """
-    relayed = bool(blamed_for) and reaches(run, interposer.name, PICTURE)  # what another agent heard reached the ego
-    start, received = late_start_s(run, interposer), interposer.received
+    limited = partial(Finding, "limited", (interposer.name,))
+    start, listeners = late_start_s(run, interposer), {*interposer.before}
     if interposer.effects is None:
-        yield _reason("unmeasured")
+        yield limited(cause=("unmeasured",))
     elif not interposer.changed and interposer.failures:
-        yield _reason("failed", where=interposer.failures)
-    elif not interposer.changed and start is not None and received:
-        yield _reason("late", value=start, unit="s")
+        yield limited(where=interposer.failures, cause=("failed",))
+    elif not interposer.changed and start is not None and interposer.received:
+        yield limited(value=start, unit="s", cause=("late",))
     elif not interposer.changed:
-        yield _reason("idle", value=received)
+        yield limited(value=interposer.received, cause=("idle",))
     elif not matters(run, interposer.name):
-        yield _reason("no estimate", where=" and ".join(interposer.wires))
-    elif interposer.before and not relayed and not {run.ego, peer_of(str(run.ego))} & set(interposer.before):
-        yield _reason("elsewhere", where=_listeners(run, interposer.before))
+        yield limited(where=" and ".join(interposer.wires), cause=("no estimate",))
+    elif (listeners and not listeners & {run.ego, peer_of(str(run.ego))}) and not (
+        blamed_for and reaches(run, interposer.name, PICTURE)  # what another agent heard reached the ego
+    ):
+        yield limited(where=_listeners(run, interposer.before), cause=("elsewhere",))
     elif run.files.targets is not None:
         own = run.files.targets["adversary"] == interposer.name
         targets = rows(run.files.targets, own & are_in(run.files.sample, run.files.targets["frame"]))
         if len(targets["frame"]):
             yield from _reasons_of_targets(run, interposer, targets, blamed_for)
         elif not blamed_for and not interposer.commands:  # what commands do is not in errors
-            yield _reason("no object", where=", ".join(effects(interposer)))
+            yield limited(where=", ".join(effects(interposer)), cause=("no object",))
 
 
-def _reasons_of_targets(run: Run, interposer: Interposer, targets: Table, blamed_for: str) -> Iterator[_Reason]:
+#: The kinds of manipulations with a common reason, and the errors that they cause.
+_CONSEQUENCES = {("inserted",): (FALSE,), ("removed",): (MISSED,), ("moved", "altered"): (DISPLACED, IDENTITY)}
+
+
+def _reasons_of_targets(run: Run, interposer: Interposer, targets: Table, blamed_for: str) -> Iterator[Finding]:
     """Reasons for limited effects on the objects that an interposer manipulated."""
-    achieved = run.files.summary.get("achieved", {}).get(interposer.name, {})
+    achieved, who = run.files.summary.get("achieved", {}).get(interposer.name, {}), (interposer.name,)
     if not scored(run, targets["frame"]).any():
-        yield _reason("unscored")
-    for kinds, explain, consequences in (
-        (("inserted",), _inserted, (FALSE,)),
-        (("removed",), _removed, (MISSED,)),
-        (("moved", "altered"), _moved, (DISPLACED, IDENTITY)),
-    ):
+        yield Finding("limited", who, cause=("unscored",))
+    for (kinds, consequences), explain in zip(_CONSEQUENCES.items(), (_inserted, _removed, _moved), strict=True):
         group = rows(targets, np.isin(targets["kind"], kinds))
         did_more = any(n for name, n in (interposer.effects or {}).items() if name not in (*kinds, "unsettled"))
-        if len(group["frame"]) and blamed_for not in consequences and (did_more or not blamed_for):
-            reason = explain(run, group, achieved)
+        if not len(group["frame"]) or blamed_for in consequences or (blamed_for and not did_more):
+            continue
+        if (reason := explain(run, group, achieved)) is not None:
             what = " or ".join(kind for kind in kinds if np.any(group["kind"] == kind))
-            if reason is not None:
-                yield _reason(reason[0], what, reason[1])
+            yield Finding("limited", who, what, reason[1], cause=(reason[0],))
 
 
 def late_start_s(run: Run, interposer: Interposer) -> float | None:

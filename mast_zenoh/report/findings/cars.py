@@ -33,15 +33,16 @@ def worst(run: Run, reference: Reference | None = None) -> list[Finding]:
 
     reference: the run that it is compared with, such as its unattacked twin
     """
-    counts = _counts(run, reference)
-    hits = [each for each in counts if each.what == "hits" and (each.value or each.other)]
-    needless = [each for each in counts if each.what == "needless" and each.value]
-    ways = [each for each in counts if each.what == "way" and each.other is not None and _differs(each)]
-    return (hits or sorted(needless + ways, key=counts.index))[: _MOST + 1]
-
-
-def _differs(way: Finding) -> bool:
-    return abs((way.value or 0.0) - (way.other or 0.0)) > WAY_M
+    hits, others = list[Finding](), list[Finding]()
+    for each in _counts(run, reference):
+        if each.what == "hits" and (each.value or each.other):
+            hits.append(each)
+        differs = each.other is not None and abs((each.value or 0.0) - each.other) > WAY_M
+        if (each.what == "needless" and each.value) or (each.what == "way" and differs):
+            others.append(each)
+    every = hits or others
+    rest = tuple(dict.fromkeys(name for each in every[_MOST:] for name in each.who))
+    return [*every[:_MOST], *[Finding("car", rest, "others", len(rest))] * bool(rest)]
 
 
 def of_cars(run: Run, reference: Reference | None = None) -> list[Finding]:

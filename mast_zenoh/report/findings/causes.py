@@ -7,6 +7,7 @@ adversary's changes can reach the estimate. A decrease has no cause.
 from __future__ import annotations
 
 from mast_zenoh.metrics.estimates import RECEIVED
+from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.findings.changes import DISPLACED, MIN_CULPRIT_SHARE, Change, witnesses_of_withheld
 from mast_zenoh.report.findings.differences import attacking_nodes, other_differences
 from mast_zenoh.report.tables.wiring import all_wires
@@ -46,29 +47,29 @@ def _places(run: Run, node: str) -> list[tuple[str, str]]:
     return places
 
 
-def causes(run: Run, change: Change, reference: Run | None = None) -> tuple[str, ...]:
+def causes(run: Run, change: Change, over: Reference | None = None) -> tuple[str, ...]:
     """Adversaries, links, faults and the defence that cause a change; may be empty with a reference.
 
-    reference: the run that the change is over; None: the change is from the run's own measurements
+    over: the run that the change is over; None: the change is from the run's own measurements
     """
-    if reference is not None and (change.amount <= 0.0 or other_differences(run, reference)):
+    if over is not None and (change.amount <= 0.0 or other_differences(run, over.run)):
         return ()
     descriptions = {each.name: each.description for each in interposers(run)}
-    culprits = culprit_names(run, change, reference)
+    culprits = culprit_names(run, change, over)
     named = [descriptions.get(name, name) for name in culprits]
     if len(named) > _MOST_NAMED:
         named = [f"{len(named)} adversaries"]
-    own_displacement = reference is None and change.kind == DISPLACED and not named
+    own_displacement = over is None and change.kind == DISPLACED and not named
     if change.due_to("fault") or own_displacement:
         named += _faults(run, any_effect=own_displacement and not change.due_to("fault"))
     if change.due_to("withheld"):
         number = witnesses_of_withheld(run, change.estimate) if change.agent == run.ego else None
         by = "" if number is None else f" that on average {number:.1f} agents that were not suspended reported"
         named.append(f"{run.defence or 'the command centre'}, which withheld objects{by}")
-    return tuple(named or ([] if reference is not None else ["adversaries"]))
+    return tuple(named or ([] if over is not None else ["adversaries"]))
 
 
-def culprit_names(run: Run, change: Change, reference: Run | None = None) -> list[str]:
+def culprit_names(run: Run, change: Change, over: Reference | None = None) -> list[str]:
     """Adversaries that cause a change, those with the most rows first; may be empty.
 
     For a change over a run that differs in adversaries alone, these are all adversaries whose changes can reach the
@@ -81,14 +82,14 @@ def culprit_names(run: Run, change: Change, reference: Run | None = None) -> lis
         if each.changed and not each.is_link and (change.estimate != RECEIVED or change.agent in each.agents)
     ]
     measured = [name for name, rows in change.by.most_common() if rows >= MIN_CULPRIT_SHARE * total] or acting
-    if reference is None:
+    if over is None:
         return measured if change.due_to("attack") else []
-    if change.amount <= 0.0 or other_differences(run, reference):
+    if change.amount <= 0.0 or other_differences(run, over.run):
         return []
     # Real-time runs also differ by timing, so only measured effects count.
     exact = run.files.scenario.get("mode", "lockstep") == "lockstep"
     candidates = measured if change.due_to("attack") else acting if exact else []
-    added = attacking_nodes(run) - attacking_nodes(reference)
+    added = attacking_nodes(run) - attacking_nodes(over.run)
     return [name for name in candidates if name in added and reaches(run, name, change.estimate, change.agent)]
 
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, RECEIVED
+from mast_zenoh.report.comparison import Reference
 from mast_zenoh.runs.run import Run
 
 FALSE, MISSED, DISPLACED, IDENTITY = "false", "missed", "displaced", "identity"
@@ -32,10 +33,10 @@ class Error(NamedTuple):
 _ARM_M = 2.25
 #: Kinds of errors.
 ERRORS = {
-    FALSE: Error("fp"),
-    MISSED: Error("fn"),
+    FALSE: Error("fp", "objects a frame"),
+    MISSED: Error("fn", "objects a frame"),
     DISPLACED: Error("rmse_m", "m", 1.0),
-    IDENTITY: Error("id_switches"),
+    IDENTITY: Error("id_switches", "switches"),
     "length": Error("length_error_m", "m", 1.0),
     "width": Error("width_error_m", "m", 1.0),
     "heading": Error("heading_error_deg", "\u00b0", math.radians(_ARM_M)),
@@ -168,16 +169,17 @@ def _first_alike(changes: Sequence[Change]) -> Change:
     return min(candidates, key=lambda change: order.index(change.estimate))
 
 
-def largest_change(run: Run, reference: Run | None) -> Change | None:
+def changes(run: Run, over: Reference | None, agents: Sequence[str] | None = None) -> list[Change]:
+    """The changes over a reference or by the run's own measurements; by default the ego's."""
+    return attributed(run, agents) if over is None else against(run, over.run, agents)
+
+
+def largest_change(run: Run, over: Reference | None) -> Change | None:
     """The largest change for the ego, or, if only its tracks in transit changed, for all agents."""
     others = [agent for agent in run.files.summary.get("agents", {}) if agent != run.ego]
-
-    def changes(agents: list[str]) -> list[Change]:
-        return attributed(run, agents) if reference is None else against(run, reference, agents)
-
-    of_ego = changes([run.ego or ""])
+    of_ego = changes(run, over)
     scored_for_ego = largest([change for change in of_ego if change.estimate != RECEIVED])
-    return scored_for_ego or largest([*of_ego, *changes(others)])
+    return scored_for_ego or largest([*of_ego, *changes(run, over, others)])
 
 
 def _change(

@@ -39,7 +39,7 @@ def of_defence(run: Run) -> list[Finding]:
             by_state["corrected without a fault"][name] = wrongly_s
     if not any(agent["suspensions"] for agent in agents.values()):
         result.append(Finding("judged", what="suspended no agent"))
-    result += [Finding("judged", tuple(of), what, max(of.values()), unit="s") for what, of in by_state.items()]
+    result += [Finding("judged", tuple(of), what, max(of.values()) or None, unit="s") for what, of in by_state.items()]
     return [*result, *_relays(measured), *_withheld(run, measured)]
 
 

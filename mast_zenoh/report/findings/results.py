@@ -6,23 +6,11 @@ import numpy as np
 
 from mast_zenoh.metrics.estimates import IN_TRANSIT, LOCAL, MISSION, PICTURE, RECEIVED
 from mast_zenoh.report.comparison import Reference, of_errors
+from mast_zenoh.report.findings import changes
 from mast_zenoh.report.findings.adversaries import hostile, period, positions
 from mast_zenoh.report.findings.cars import drives
 from mast_zenoh.report.findings.causes import causes
-from mast_zenoh.report.findings.changes import (
-    DISPLACED,
-    ERRORS,
-    FALSE,
-    IDENTITY,
-    MISSED,
-    NOTHING,
-    Change,
-    against,
-    attributed,
-    largest,
-    largest_change,
-    scored,
-)
+from mast_zenoh.report.findings.changes import DISPLACED, ERRORS, FALSE, IDENTITY, MISSED, NOTHING, Change, scored
 from mast_zenoh.report.findings.differences import attacking_nodes, other_differences
 from mast_zenoh.report.findings.finding import Finding
 from mast_zenoh.run_folder.recording import churn
@@ -72,20 +60,18 @@ def of_scores(run: Run, reference: Reference | None = None) -> list[Finding]:
         own = "own" if run.files.summary else "not evaluated"  # from a user-defined evaluator
         return [Finding("no scores", what="damaged" if run.metrics_damaged else own)]
     over = of_errors(run, reference)
-    other, than = (None, "") if over is None else (over.run, over.name)
-    change = largest_change(run, other)
+    change = changes.largest_change(run, over)
     result = positions(run)
     if change is None:
         result += _unchanged(run, over, compared=reference is not None)
     else:
         if change.estimate == RECEIVED or (change.agent != run.ego and "pictures" in run.files.summary):
-            judge = (run.defence,) if run.defence and not than else ()
-            result.append(Finding("unchanged", (run.ego or "",), "errors", where=PICTURE, cause=judge, than=than))
+            result.append(_same_errors(run, PICTURE, over))
         result += [_finding(run, change, over), *_used(run, change, over)]
-        if other is not None and (differences := other_differences(run, other)):
-            also = "also " if attacking_nodes(run) - attacking_nodes(other) else ""
+        if over is not None and (differences := other_differences(run, over.run)):
+            also = "also " if attacking_nodes(run) - attacking_nodes(over.run) else ""
             result.append(Finding("unattributed", what=f"{also}differ", cause=differences))
-        elif other is not None and change.amount > 0.0 and not causes(run, change, other):
+        elif over is not None and change.amount > 0.0 and not causes(run, change, over):
             result.append(Finding("unattributed", what="no cause"))
     if reference is not None and over is None:
         result.append(Finding("unattributed", what="way", cause=other_differences(run, reference.run)))
@@ -93,29 +79,24 @@ def of_scores(run: Run, reference: Reference | None = None) -> list[Finding]:
 
 
 def _finding(run: Run, change: Change, over: Reference | None) -> Finding:
-    unit = ERRORS[change.kind].unit
-    reasons = causes(run, change, None if over is None else over.run)
-    than = "" if over is None else over.name
-    return Finding(
-        "change", (change.agent,), change.kind, change.amount, None, unit, change.estimate, None, reasons, than
-    )
+    who, what, unit, where = (change.agent,), change.kind, ERRORS[change.kind].unit, change.estimate
+    reasons, than = causes(run, change, over), "" if over is None else over.name
+    return Finding("change", who, what, change.amount, None, unit, where, None, reasons, than)
 
 
-def changes(run: Run, over: Reference | None) -> list[Change]:
-    """The changes for the ego, over a reference or by the run's own measurements."""
-    return attributed(run) if over is None else against(run, over.run)
+def _same_errors(run: Run, estimate: str, over: Reference | None) -> Finding:
+    """That the errors of an estimate are those of the reference, or that none is due to attacks."""
+    judge, than = (run.defence,) if run.defence and over is None else (), "" if over is None else over.name
+    return Finding("unchanged", (run.ego or "",), "errors", where=estimate, cause=judge, than=than)
 
 
 def _used(run: Run, change: Change, over: Reference | None) -> list[Finding]:
     """What of a change of the picture in transit is in what the ego makes of it; none for other changes."""
     if change.estimate not in IN_TRANSIT or change.agent != run.ego:
         return []
-    of_mission = [each for each in changes(run, over) if each.estimate == MISSION and each.weight != 0.0]
+    of_mission = [each for each in changes.changes(run, over) if each.estimate == MISSION and each.weight != 0.0]
     if not of_mission:
-        than = "" if over is None else over.name
-        return [Finding("unchanged", (change.agent,), "errors", where=MISSION, than=than)] * bool(
-            run.scores_of(MISSION)
-        )
+        return [_same_errors(run, MISSION, over)] * bool(run.scores_of(MISSION))
     kinds = (change.kind, FALSE, MISSED, IDENTITY)
     relevant = [each for kind in dict.fromkeys(kinds) for each in of_mission if each.kind == kind] or of_mission
     return [_finding(run, each, over) for each in relevant]
@@ -160,10 +141,10 @@ def missed(run: Run) -> list[Finding]:
 def other_changes(run: Run, reference: Reference | None) -> list[Finding]:
     """The largest notable change of each kind that is not the largest of all."""
     over = of_errors(run, reference)
-    all_changes = changes(run, over)
-    main, result = largest(all_changes), []
+    all_changes = changes.changes(run, over)
+    main, result = changes.largest(all_changes), []
     for kind in ERRORS if main is not None else ():
-        change = largest([each for each in all_changes if each.kind == kind and each.estimate != LOCAL])
+        change = changes.largest([each for each in all_changes if each.kind == kind and each.estimate != LOCAL])
         if change is not None and main is not None and kind != main.kind and abs(change.weight) >= NOTHING:
             result.append(_finding(run, change, over))
     return result
@@ -174,7 +155,7 @@ def during(run: Run, reference: Reference | None = None) -> list[Finding]:
 
     Beside that of the reference in the same frames. None if no scored frame is attacked.
     """
-    change = largest_change(run, over.run if (over := of_errors(run, reference)) else None)
+    change = changes.largest_change(run, of_errors(run, reference))
     done = {effect for each in hostile(run) for effect, number in (each.effects or {}).items() if number}
     kind, estimate = MISSED if done & {"removed", "dropped"} and "inserted" not in done else FALSE, PICTURE
     if change is not None and change.agent == run.ego and change.estimate != RECEIVED and change.weight > 0.0:
