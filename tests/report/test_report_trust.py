@@ -216,7 +216,7 @@ def test_the_last_line_says_which_agents_the_defence_suspended_when_and_what_it_
     withheld = "withheld 1.50 false and 0.25 true objects a frame."
     assert last_line(folder, "FreeSpace", INTEGRITY) == (
         "FreeSpace: suspended infra_1 0.5 s after its first lie; suspended infra_2 while honest; did not suspend "
-        f"infra_3, which lied (watched for up to 2.4 s); {withheld}"
+        f"infra_3 (2.4 s) from the first lie on; {withheld}"
     )
     before = of_agent(lied=True, first_lie_s=1.5, suspensions=[suspension(0.0, None, "honest")])
     early = last_line(folder, "Robosac", INTEGRITY | {"agents": {"infra_1": before}})
@@ -228,7 +228,7 @@ def test_the_last_line_says_which_agents_the_defence_suspended_when_and_what_it_
     honest = {"honest": {"trusted": 3.0, "faulty": 1.25}, "faulty": {"faulty": 2.0}}
     corrected = nothing | {"agents": {"ego": of_agent(seconds=honest), "infra_1": of_agent()}}
     line = last_line(folder, "FaultOrLie", INTEGRITY | corrected)
-    assert "suspended no agent; corrected ego without a fault (for up to 1.2 s); withheld 0.00" in line
+    assert "suspended no agent; corrected ego (1.2 s) without a fault; withheld 0.00" in line
     alarm = of_agent(suspensions=[suspension(1.0, None, "honest")])
     many = last_line(folder, "KOfN", INTEGRITY | {"agents": {f"infra_{number}": alarm for number in range(15)}})
     assert many.startswith("KOfN: suspended infra_0, infra_1, ")
@@ -248,7 +248,7 @@ def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:
 def test_the_page_states_missed_liars_false_alarms_and_withheld_objects(folder: Path) -> None:
     page = write_report(folder).read_text()
     assert '<h2 id="trust">' in page
-    assert "did not suspend infra_3, which lied (watched for up to 2.4 s)" in page
+    assert "did not suspend infra_3 (2.4 s) from the first lie on" in page
     assert "suspended infra_2 while honest" in page
     assert "1.50 false and 0.25 true objects" in page
     assert REASON in page

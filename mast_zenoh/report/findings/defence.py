@@ -39,7 +39,9 @@ def of_defence(run: Run) -> list[Finding]:
             by_state["corrected without a fault"][name] = wrongly_s
     if not any(agent["suspensions"] for agent in agents.values()):
         result.append(Finding("judged", what="suspended no agent"))
-    result += [Finding("judged", tuple(of), what, max(of.values()) or None, unit="s") for what, of in by_state.items()]
+    for what, of in by_state.items():
+        each = tuple(f"{name} ({duration_s:.1f} s)" if duration_s else name for name, duration_s in of.items())
+        result.append(Finding("judged", tuple(of), what, max(of.values()) or None, unit="s", cause=each))
     return [*result, *_relays(measured), *_withheld(run, measured)]
 
 
