@@ -16,7 +16,6 @@ from mast_zenoh.report.findings import adversaries, cars, defence, results
 from mast_zenoh.report.findings.changes import largest_change
 from mast_zenoh.report.findings.finding import Finding
 from mast_zenoh.report.findings.words import names, said, text
-from mast_zenoh.runs.interposers import interposers
 from mast_zenoh.runs.run import Run
 
 
@@ -54,10 +53,9 @@ def outcome(run: Run, reference: Reference | None = None) -> list[Finding]:
 def details(run: Run, reference: Reference | None = None) -> list[Finding]:
     """What the paragraph below the headline says: of a run that failed its outcome, then what else there is to say."""
     over, told = of_errors(run, reference), outcome(run, reference)
-    change = largest_change(run, over)
     failed = tuple(str(each["name"]) for each in run.files.checks.get("checks", ()) if not each["ok"])
     every = [
-        *(results.missed(run) if change is not None or any(each.changed for each in interposers(run)) else []),
+        *results.missed(run),
         *results.other_changes(run, reference),
         *results.during(run, over),
         *results.braking(run),
