@@ -18,7 +18,6 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.gather import LatestBefore
 from mast_zenoh.links import (
     FATES,
-    WIRES,
     Chain,
     Passage,
     PassageOutcome,
@@ -28,6 +27,7 @@ from mast_zenoh.links import (
     displaced,
     flipped,
     has_frame,
+    type_number,
 )
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
@@ -177,7 +177,7 @@ class Link(Node):
         except MessageError:
             return
         for fate, rule in outcome.fates.items():
-            kind = WIRES.index(header.schema) if header.schema in WIRES else len(WIRES)
+            kind = type_number(header.schema)
             event = ReportRow(kind, header.frame, header.seq, FATES.index(fate), rule, outcome.delay_s)
             self.events.append((event, port))
 

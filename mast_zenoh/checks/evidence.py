@@ -14,7 +14,7 @@ import numpy as np
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MessageError, RunFolderError
-from mast_zenoh.links import FATES, WIRES
+from mast_zenoh.links import FATES
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import check_kernels
 from mast_zenoh.messages.schemas import Body
@@ -90,7 +90,7 @@ class RunEvidence:
     run, metrics: run.json and metrics.json
     sent:      valid messages by key, in the order (frame, publisher, sequence)
     malformed: number of malformed messages by key
-    fates:     reports of links by (link, message type) and message
+    fates:     reports of links by (link, number of the message type) and message
     times_ns:  times of the frames that were played
     """
 
@@ -101,7 +101,7 @@ class RunEvidence:
     metrics: Mapping[str, Any]
     sent: dict[str, list[SentMessage]] = field(default_factory=lambda: defaultdict(list))
     malformed: dict[str, int] = field(default_factory=lambda: defaultdict(int))
-    fates: dict[tuple[str, str], dict[Id, list[Fate]]] = field(default_factory=lambda: defaultdict(dict))
+    fates: dict[tuple[str, int], dict[Id, list[Fate]]] = field(default_factory=lambda: defaultdict(dict))
     times_ns: dict[int, int] = field(default_factory=dict)
 
     @classmethod
@@ -144,7 +144,7 @@ class RunEvidence:
         for port, frame, seq, fate, delay_s in zip(
             *(body[name].tolist() for name in ("port", "frame", "seq", "fate", "delay_s")), strict=True
         ):
-            fates = self.fates[link, WIRES[port]]
+            fates = self.fates[link, port]
             fates.setdefault((frame, seq), []).append(Fate(FATES[fate], delay_s))
 
     @property

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 from mast_zenoh.checks.evidence import Check, Fate, Id, RunEvidence, SentMessage
 from mast_zenoh.gather import MAX_TRACK_VALUE
+from mast_zenoh.links import type_number
 from mast_zenoh.wiring.model import Leg, Wire
 
 _SHOWN = 5
@@ -240,7 +241,7 @@ def _check_interposer(wire: Wire, before: Leg, leg: Leg, evidence: RunEvidence, 
     sent = Counter((message.frame, message.seq) for message in evidence.sent.get(leg.key, ()))
     account.messages += sent.total()
     node = leg.publisher.node
-    fates = evidence.fates.get((node, wire.message), {})
+    fates = evidence.fates.get((node, type_number(wire.message)), {})
     unreported = evidence.last - evidence.slack
     if wire.message in ("collated", "picture"):
         unreported -= evidence.broker_lag + 1  # messages about a frame may be sent some frames later

@@ -147,6 +147,9 @@ class Impair(LinkFault):
         super().__post_init__()
         if self.rule == ():
             raise ValueError("rule: found an empty list, expected dict(type=…), or a list of them")
+        for rule in (self.rule,) if isinstance(self.rule, dict) else self.rule:
+            if timed := {"at", "until"} & rule.keys():
+                raise ValueError(f"rule: found {min(timed)!r}, expected it beside `rule`: the fault says when it acts")
 
     def as_rule(self) -> Rule | Sequence[Rule]:
         return self.rule

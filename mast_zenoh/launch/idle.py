@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from mast_zenoh.attacks.campaign import COUNTS
 from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control.results import EVALUATOR
@@ -141,7 +142,7 @@ def _why_unchanged(run: _EndedRun, name: str, kind: str, start_s: float | None) 
     if begins and max(begins) > run.duration_s:
         return f"its attack begins at {max(begins):g} s, after the last frame ({run.duration_s:.1f} s)"
     counts = run.handed_in.get(name, {})
-    chosen = [count for count in counts.values() if type(count) is int]
+    chosen = [counts[name] for name in COUNTS if type(counts.get(name)) is int]
     return "by its own count it found no target" if chosen and not any(chosen) else ""
 
 

@@ -39,6 +39,12 @@ WIRES = ("tracks", "status", "picture", "detections", "collated", "view", "relay
 #: The effects on a message; link reports contain indices into this tuple.
 FATES = ("dropped", "delayed", "duplicated", "corrupted", "altered", "edited")
 
+
+def type_number(message: str) -> int:
+    """The number of a message type in link reports."""
+    return WIRES.index(message) if message in WIRES else len(WIRES)
+
+
 __all__ = [
     "FATES",
     "PROFILES",
@@ -68,4 +74,5 @@ __all__ = [
     "flipped",
     "has_frame",
     "profile",
+    "type_number",
 ]

@@ -131,7 +131,7 @@ def received(message: Message, limits: RowLimits, flaw: str, choice: RowChoice |
 def _check_kept(message: Message, kept: Body) -> None:
     """Raise MessageError for a message that is too long, or whose header or kept rows are invalid."""
     header, full = message
-    _check_header(header)
+    check_header(header)
     layout = LAYOUTS[header.schema]
     if not layout.plan_of(full).fits:
         raise MessageError(f"{header.schema}: at most {MAX_BYTES} bytes allowed")
@@ -248,7 +248,7 @@ def _quick_header(payload: bytes, expected: Schema) -> tuple[Header, int] | None
         return None
     source, frame, time_ns, seq, end = found
     header = Header(expected.name, source, frame, time_ns, seq)
-    _check_header(header)
+    check_header(header)
     return header, end
 
 
@@ -284,7 +284,7 @@ def _unpack(payload: bytes, expected: Schema) -> tuple[Header, Any]:
         actual = f"{str(schema)[:40]} version {str(version)[:10]}"
         raise MessageError(f"{name}: found {actual}, expected {name} version {expected.version}")
     header = Header(name, source, frame, time_ns, seq)
-    _check_header(header)
+    check_header(header)
     return header, body
 
 
@@ -317,7 +317,8 @@ def _check_columns(schema: Schema, columns: Body) -> None:
         _check_column(schema.name, column, columns[column.name])
 
 
-def _check_header(header: Header) -> None:
+def check_header(header: Header) -> None:
+    """Raise MessageError for a header that no message may have."""
     schema, source, frame, time_ns, seq = header
     if not isinstance(source, str) or len(source) > MAX_TEXT:
         raise MessageError(f"{schema}: source is not a name")

@@ -15,7 +15,7 @@ from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.notices import number, of_recording
-from mast_zenoh.links import WIRES
+from mast_zenoh.links import WIRES, type_number
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.replay.cut import ReplayedMesh
@@ -207,7 +207,7 @@ def restricted(payload: bytes, wires: Collection[str]) -> bytes:
         header, body = codec.decode(payload, "link_report")
     except MessageError:
         return payload
-    kept = np.isin(body["port"], [index for index, message in enumerate(WIRES) if message in wires])
+    kept = np.isin(body["port"], [type_number(message) for message in wires])
     if kept.all():
         return payload
     return codec.encode(Message(header, {name: column[kept] for name, column in body.items()}))

@@ -178,8 +178,11 @@ class Run:
         known = known or self.files.summary.get("interposers", {}).get(node, {}).get("role")
         if known:
             return str(known)
-        is_agent = any(agent_in_key(wire["key"]) == node for wire in self.files.wiring.get("wires", []))
-        return "agent" if is_agent else node.rstrip("0123456789").rstrip("_")
+        return "agent" if node in self._agents_in_keys else node.rstrip("0123456789").rstrip("_")
+
+    @cached_property
+    def _agents_in_keys(self) -> set[str | None]:
+        return {agent_in_key(wire["key"]) for wire in self.files.wiring.get("wires", ())}
 
     @cached_property
     def manipulations(self) -> Table | None:

@@ -48,6 +48,8 @@ class Traits:
 
 
 _PLAIN = Traits()
+#: Delays of received wirings, frames: time goes on, and sums of them stay small.
+_MOST_FRAMES = 1 << 31
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +84,10 @@ class NodeFlow:
     def from_json(cls, data: Mapping[str, Any]) -> NodeFlow:
         """The flow that `to_json` wrote."""
         affects = {
-            port: {output: max(0, frames) for output, frames in outputs.items()}  # time goes on
+            port: {output: min(max(0, frames or 0), _MOST_FRAMES) for output, frames in (outputs or {}).items()}
             for port, outputs in (data.get("affects") or {}).items()
         }
-        return cls(str(data.get("role", "")), affects, tuple(data.get("fuses") or ()))
+        return cls(data.get("role") or "", affects, tuple(data.get("fuses") or ()))
 
 
 _LEG = {"key": str, "from": Name, "from_port": str, "to": [Name], "to_ports": [str], "before": str}
@@ -369,8 +371,8 @@ class Wiring:
     def from_json(cls, data: Mapping[str, Any]) -> Wiring:
         """The wiring that `to_json` wrote; raises ValueError, TypeError or LookupError for another."""
         check_shape(data, SHAPE)
-        overhearers = tuple(Endpoint(**end) for end in data.get("overhearers", ()))
-        nodes = {name: NodeFlow.from_json(flow) for name, flow in data.get("nodes", {}).items()}
+        overhearers = tuple(Endpoint(**end) for end in data.get("overhearers") or ())
+        nodes = {name: NodeFlow.from_json(flow or {}) for name, flow in (data.get("nodes") or {}).items()}
         recorded = cls.from_json({**data["recorded"], "recorded": None}) if data.get("recorded") else None
         return cls(tuple(map(_wire_of, data["wires"])), overhearers, nodes, recorded)
 

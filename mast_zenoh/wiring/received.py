@@ -120,7 +120,12 @@ class Overheard:
         header = self._header
         if header is None:
             content, wire = self._content, self.wire
-            header = content.header if isinstance(content, Message) else codec.decode_header_only(content, wire.message)
+            if isinstance(content, Message):
+                header = content.header
+                if self._flaw:
+                    codec.check_header(header)
+            else:
+                header = codec.decode_header_only(content, wire.message)
             if header.source != wire.source:
                 raise MessageError(f"{wire.message}: source {header.source[:40]!r}, expected {wire.source!r}")
             self._header = header

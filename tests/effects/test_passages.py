@@ -9,8 +9,9 @@ import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.effects.passages import KNOWN_FRAMES, LATEST, REMEMBERED, FrameSpan, PassageMeter
+from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec
-from mast_zenoh.messages.schemas import Header, text
+from mast_zenoh.messages.schemas import Header, Message, text
 from mast_zenoh.wiring.model import Input, InterposedWire
 from mast_zenoh.wiring.received import Overheard
 
@@ -208,3 +209,10 @@ def test_forgotten_effects_are_those_on_earlier_messages() -> None:
     metered.effects.forget(3)
     assert {each.frame for each in metered.effects.messages} == {3, 4}
     assert sorted(int(frame) for part in metered.effects.objects for frame in part.frame) == [3, 4]
+
+
+def test_in_one_process_a_header_that_no_message_may_have_is_refused_as_its_bytes_would_be() -> None:
+    header = Header("pose", "a", 1, 2**62, 0)
+    message = Message(header, {"position": np.zeros(3)})
+    with pytest.raises(MessageError, match="time_ns"):
+        _ = Overheard("key", Input("everything", "a", "pose", "a"), message, 1, "refused").header

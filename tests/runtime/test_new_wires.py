@@ -162,7 +162,7 @@ def folder() -> Path:
 
 @cache
 def played(name: str, **parameters: Any) -> mast.Run:
-    out = folder() / "_".join(["run", name, *map(str, parameters.values())])
+    out = folder() / "_".join(["run", name, *map(str, parameters.values())]).replace("/", "_")
     return mast.run(str(folder() / name), frames=25, seed=1, out=str(out), record=True, runtime="inproc", **parameters)
 
 
@@ -223,6 +223,26 @@ def test_a_link_on_a_wire_whose_port_it_uses_itself_forwards_the_messages() -> N
     run = played("lossless.py")
     assert run.summary["agents"]["infra_1"]["local"]["tp"]["mean"] > 5.0
     assert not run.attacks.num_rows
+
+
+EVERY_WIRE = """
+from mast_zenoh import scenario as scenarios
+
+
+def scenario(on="agent/ego/pose"):
+    _, content = scenarios.load("peers", ["n_infrastructure=1", "n_mobile=1", "gossip=true"])
+    fault = dict(type="Impair", rule=dict(type="Loss", probability=0.5), on=on, at=0.2)
+    return content | dict(name="lossy", faults=[fault])
+"""
+
+
+@pytest.mark.parametrize("key", ["agent/ego/pose", "agent/ego/trust", "scene/truth", "agent/infra_1/gossip"])
+def test_a_fault_of_any_wire_is_measured_reported_and_checked(key: str) -> None:
+    (folder() / "every_wire.py").write_text(EVERY_WIRE)
+    run = played("every_wire.py", on=key)
+    assert {row["effect"] for row in run.attacks.to_pylist() if row["wire"] == key} == {"dropped"}
+    checks = json.loads((run.path / "checks.json").read_text())["checks"]
+    assert all(each["ok"] for each in checks if each["name"] == "sequences"), checks
 
 
 #: By what is wrong: what replaces it in the entry, and what the error says.

@@ -58,9 +58,7 @@ def test_half_of_a_configuration_is_refused(edit: Edit, problem: str) -> None:
 
 
 def test_a_cam_is_refused_on_a_wire_with_many_objects() -> None:
-    with pytest.raises(
-        WiringError, match=r"found cam on 'agent/ego/tracks', expected `itself = true`.* or cpm"
-    ):
+    with pytest.raises(WiringError, match=r"found cam on 'agent/ego/tracks', expected `itself = true`.* or cpm"):
         resolved(with_map(CAM))
 
 

@@ -214,3 +214,11 @@ def test_a_node_that_receives_every_key_has_no_other_port(more: dict[str, str]) 
     ear = node("recorder", **(dict(inputs="everything:*") | more))
     with pytest.raises(WiringError, match=r"node 'ear': a node that subscribes to every key .* has no other"):
         resolve({"simulator": SIMULATOR, "ego": AGENT, "broker": BROKER, "ear": ear})
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [{"nodes": None}, {"nodes": {"ego": None}}, {"overhearers": None}, {"nodes": {"a": {"affects": {"": None}}}}],
+)
+def test_a_wiring_of_which_parts_are_null_is_read_without_them(damage: dict) -> None:
+    assert Wiring.from_json({"wires": [], **damage}).wires == ()

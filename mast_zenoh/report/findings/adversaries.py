@@ -147,6 +147,7 @@ def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[Find
     """
     limited = partial(Finding, "limited", (interposer.name,))
     start, listeners = late_start_s(run, interposer), {*interposer.before}
+    estimates = run.files.summary.get("agents", {}).get(run.ego, (PICTURE,))
     if interposer.effects is None:
         yield limited(cause=("unmeasured",))
     elif not interposer.changed and interposer.failures:
@@ -157,6 +158,8 @@ def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[Find
         yield limited(value=interposer.received, cause=("idle",))
     elif not matters(run, interposer.name):
         yield limited(where=" and ".join(interposer.wires), cause=("no estimate",))
+    elif not blamed_for and not any(reaches(run, interposer.name, estimate) for estimate in estimates):
+        yield limited(where=" and ".join(interposer.wires), cause=("not the ego",))
     elif (listeners and not listeners & {run.ego, peer_of(str(run.ego))}) and not (
         blamed_for and reaches(run, interposer.name, PICTURE)  # what another agent heard reached the ego
     ):

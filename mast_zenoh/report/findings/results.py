@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mast_zenoh.metrics.estimates import IN_TRANSIT, LOCAL, MISSION, PICTURE, RECEIVED
+from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, MISSION, PICTURE, RECEIVED
 from mast_zenoh.report.comparison import Reference, of_errors
 from mast_zenoh.report.findings import changes
 from mast_zenoh.report.findings.adversaries import hostile, period, positions
@@ -107,11 +107,13 @@ def _unchanged(run: Run, over: Reference | None, *, compared: bool) -> list[Find
     active = tuple(each.name for each in interposers(run) if each.changed and not (over and each.is_link))
     result = []
     if over is not None:
-        estimates = [{*each.files.summary.get("agents", {}).get(run.ego or "", ())} for each in (run, over.run)]
-        same = "scores" if estimates[0] == estimates[1] else "shared scores"
+        estimates = [each.files.summary.get("agents", {}).get(run.ego or "", {}) for each in (run, over.run)]
+        same = "scores" if estimates[0].keys() == estimates[1].keys() else "shared scores"
+        apart = tuple(name for name, own in estimates[0].items() if own != estimates[1].get(name, own))
         here, there = (each.files.summary.get("driving", {}).get(run.ego or "", {}) for each in (run, over.run))
         what = "driving" if any(here[name] != there[name] for name in here.keys() & there) else same
-        result.append(Finding("unchanged", active, what, than=over.name))
+        own = tuple(name for name in apart if name not in ESTIMATES)
+        result.append(Finding("unchanged", active, what, cause=own, than=over.name))
         result += braking(run) if what == "driving" else []
     elif active:
         result.append(Finding("unattributed", active, "way alone" if compared else "alone"))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, NamedTuple
 
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
+from mast_zenoh.messages.layout import MAX_BYTES
 from mast_zenoh.messages.schemas import SCHEMAS, Header
 from mast_zenoh.run_folder.recording.format import (
     ENCODING,
@@ -117,6 +118,9 @@ class MessageLog:
 
         step: the run's frame when it was sent; -1: unknown
         """
+        if len(payload) > MAX_BYTES:
+            self.add_malformed(key, payload, header.frame, header.time_ns, step)
+            return
         if key not in self._channels:
             self._channels[key] = self._channel(key)
         self._add(
@@ -124,7 +128,7 @@ class MessageLog:
         )
 
     def add_malformed(self, key: str, payload: bytes, frame: int, time_ns: int, step: int) -> None:
-        """Add a malformed message unchanged; it is lost if there is a problem.
+        """Add a malformed message, of one that is too long its beginning; it is lost if there is a problem.
 
         frame, time_ns: of the latest clock when it arrived;  step: as in `add`
         """
@@ -133,7 +137,7 @@ class MessageLog:
             self._channels[name] = self._channel(key, malformed=True)
         self._n_malformed[key] += 1
         number = self._n_malformed[key] - 1
-        self._add(key, _Entry(0, frame, number, 0, time_ns, self._channels[name], payload, step, True))
+        self._add(key, _Entry(0, frame, number, 0, time_ns, self._channels[name], payload[:MAX_BYTES], step, True))
 
     def add_event(self, event: RecordedEvent) -> None:
         """Add a change of the run; it is lost if there is a problem."""

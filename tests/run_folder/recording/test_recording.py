@@ -23,6 +23,7 @@ from recordings import HEARS, PERIOD_NS, TAP, add, begun, payload, small_run, wr
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messages import codec
+from mast_zenoh.messages.layout import MAX_BYTES
 from mast_zenoh.run_folder.recording import writer
 from mast_zenoh.run_folder.recording.format import JOINED, LEFT, REWIRED, RecordedEvent
 from mast_zenoh.run_folder.recording.reader import events, first_missing_frame, read
@@ -92,6 +93,15 @@ def test_the_step_in_which_a_message_was_sent_is_kept(tmp_path: Path, monkeypatc
     messages = list(read(tmp_path / "run.mcap"))
     assert {(message.key, message.frame): message.step for message in messages if not message.malformed} == steps
     assert [message.step for message in messages if message.malformed] == [4]
+
+
+def test_of_a_message_that_is_too_long_the_beginning_is_recorded_as_malformed(tmp_path: Path) -> None:
+    log = begun(tmp_path / "run.mcap")
+    key, data = small_run()[0]
+    log.add(key, data + bytes(5 * MAX_BYTES), codec.decode_header(data, HEARS[key].message), 0)
+    log.close()
+    (recorded,) = read(tmp_path / "run.mcap")
+    assert (recorded.malformed, len(recorded.payload)) == (True, MAX_BYTES)
 
 
 nodes = st.text(max_size=20)
