@@ -241,7 +241,10 @@ def _sources(path: Path, scenario: Mapping[str, Any], more: Sequence[Any]) -> li
             sources.append((f"{path}: keyexpr.rewrites[{index - 1}]", source))
         else:
             file = bundle.find("keyexpr_maps", str(source), path.parent)
-            sources.append((str(source), maps.load(file or bundle.ROOT / "keyexpr_maps" / str(source))))
+            if file is None:
+                hint = nearest(str(source), bundle.names("keyexpr_maps", path.parent))
+                raise WiringError(f"{path}: keyexpr: {source}: no such key-expression map{hint}")
+            sources.append((str(source), maps.load(file)))
     return sources
 
 

@@ -134,7 +134,7 @@ def test_the_link_rule_loses_every_fourth_message(play: Callable[..., mast.Run])
 
 
 def test_the_wire_is_fused_lied_on_lost_and_scored(play: Callable[..., mast.Run]) -> None:
-    assert 'use = "fuse"' in FILES["watch.toml"]
+    assert "fuse = true" in FILES["watch.toml"]
     run = play("watchful.py")
     effects = {name: each["wires"] for name, each in run.summary["interposers"].items()}
     assert effects["liar"] == ["agent/infra_1/watch"]
