@@ -54,7 +54,7 @@ def texts(resolved: Resolved, nodes: dict[str, Any] | None = None, **more: Any) 
 
 def test_the_notice_of_tracks_left_out_names_their_agents(world: Resolved) -> None:
     text = texts(world, left_out={"infra_1": 20_000, "ego": 0})["left_out"]
-    assert "infra_1: 20000)" in text
+    assert "infra_1: 20000" in text
     assert "input_limit" in text
 
 
