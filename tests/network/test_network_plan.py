@@ -52,7 +52,10 @@ EGO, WEST = {"nodes": ["ego"]}, {"nodes": ["infra_1"]}
         ({"west": {"delay_ms": 3}}, "hosts.west: ScenarioHost needs nodes"),
         ({"west": {"nodes": "infra_1"}}, "hosts.west.nodes: found 'infra_1', expected a list"),
         ({"west": {"nodes": ["infra_7"]}}, "no node 'infra_7' in this run; did you mean 'infra_"),
-        ({"west": WEST | {"delay": 3}}, "hosts.west.delay: ScenarioHost has no such parameter; did you mean 'delay_ms'?"),
+        (
+            {"west": WEST | {"delay": 3}},
+            "hosts.west.delay: ScenarioHost has no such parameter; did you mean 'delay_ms'?",
+        ),
         ({"west": WEST | {"loss": 2}}, "hosts.west: ScenarioHost: loss: found 2.0, expected a number from 0 to 1"),
         ({"west": WEST | {"bits_per_s": 0}}, "hosts.west: ScenarioHost: bits_per_s: found 0.0, expected a number"),
         ({"west": EGO | {"delay_by": "tc"}}, "hosts.west.delay_by: found 'tc'; known: netem, relay"),
