@@ -22,7 +22,7 @@ from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security import explain
 
 
-class Finding(NamedTuple):
+class Diagnosis(NamedTuple):
     """The result of a check.
 
     ok: None for an optional part that is missing; fix: what to do, if anything
@@ -34,63 +34,63 @@ class Finding(NamedTuple):
     fix: str = ""
 
 
-def examine(credentials: Path | None = None, endpoint: str | None = None) -> Iterator[Finding]:
+def examine(credentials: Path | None = None, endpoint: str | None = None) -> Iterator[Diagnosis]:
     """Run all checks, and check a folder of credentials if one is named."""
     for check in CHECKS:
         yield check()
     if credentials is not None:
         reasons = explain(credentials, endpoint)
         where = f"{credentials}{f' at {endpoint}' if endpoint else ''}"
-        yield Finding("certificates", not reasons, "; ".join(reasons) or f"{where}: valid")
+        yield Diagnosis("certificates", not reasons, "; ".join(reasons) or f"{where}: valid")
 
 
-def python() -> Finding:
+def python() -> Diagnosis:
     """The versions of Python and of this package."""
-    return Finding(
+    return Diagnosis(
         "python", sys.version_info >= (3, 11), f"{platform.python_version()}, mast-zenoh {release.version_string()}"
     )
 
 
-def compiled_kernels() -> Finding:
+def compiled_kernels() -> Diagnosis:
     """Whether compiled kernels are in use."""
     reason = kernels.why_not()
     if reason:
         detail = f"not used: NumPy is slower, and wires cannot have a codec (cpm, cam): {reason}"
-        return Finding("kernels", None, detail, kernels.remedy())
-    return Finding("kernels", True, "compiled")
+        return Diagnosis("kernels", None, detail, kernels.remedy())
+    return Diagnosis("kernels", True, "compiled")
 
 
-def installed_plugins() -> Finding:
+def installed_plugins() -> Diagnosis:
     """The installed plugins, and those that are left out."""
     problems = [f"{plugin.distribution} {problem}" for plugin, problem in plugins.load().problems.items()]
     usable = [plugin.distribution for plugin in plugins.load().plugins]
     detail = "; ".join([", ".join(usable) or "none usable", *problems])
     missing = [plugins.command_for(project) for project in plugins.OUR_PLUGINS if not plugins.is_installed(project)]
     fix = "repair or uninstall them" if problems else " && ".join(missing)
-    return Finding("plugins", None if problems or not usable else True, detail, fix)
+    return Diagnosis("plugins", None if problems or not usable else True, detail, fix)
 
 
-def mesh() -> Finding:
+def mesh() -> Diagnosis:
     """Whether a router comes up on the loopback interface."""
     try:
         session, endpoint = open_router()
     except Exception as error:
-        return Finding("zenoh", False, str(error), "reinstall eclipse-zenoh")
+        return Diagnosis("zenoh", False, str(error), "reinstall eclipse-zenoh")
     session.close()  # type: ignore[no-untyped-call]
-    return Finding("zenoh", True, f"{version('eclipse-zenoh')}, a router came up at {endpoint}")
+    return Diagnosis("zenoh", True, f"{version('eclipse-zenoh')}, a router came up at {endpoint}")
 
 
-def control() -> Finding:
+def control() -> Diagnosis:
     """Whether runs obey control messages without a signature: all that are not started with `--secure`."""
-    return Finding("security", None, "runs obey control messages without a signature", "mast run … --secure")
+    return Diagnosis("security", None, "runs obey control messages without a signature", "mast run … --secure")
 
 
-def optional(name: str, look: Callable[[], str], fix: str) -> Finding:
+def optional(name: str, look: Callable[[], str], fix: str) -> Diagnosis:
     """Whether an optional part is usable, as `look` describes it."""
     try:
-        return Finding(name, True, look())
+        return Diagnosis(name, True, look())
     except (EngineError, BackendError) as error:
-        return Finding(name, None, str(error), fix)
+        return Diagnosis(name, None, str(error), fix)
 
 
 def _compose() -> str:
@@ -115,15 +115,15 @@ def _namespaces() -> str:
     return f"yes, delays by {shaping.delays_by(wanted, Owner.this_process())}"
 
 
-def disk_space() -> Finding:
+def disk_space() -> Diagnosis:
     """The free disk space here."""
     free = shutil.disk_usage(Path.cwd()).free
-    return Finding(
+    return Diagnosis(
         "disk", free > 1 << 28, f"{free >> 30} GiB free in {Path.cwd()}", "" if free > 1 << 28 else "make room"
     )
 
 
-CHECKS: list[Callable[[], Finding]] = [
+CHECKS: list[Callable[[], Diagnosis]] = [
     python,
     compiled_kernels,
     installed_plugins,

@@ -6,12 +6,12 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from typing import TypeVar
 
-from mast_zenoh.metrics.study_results import LEVEL, Estimate, Measured
+from mast_zenoh.metrics.study_results import LEVEL, SeriesEstimate, Statistic
 
 Effect = TypeVar("Effect", bound=Hashable)
 
 
-def clearest(effects: Mapping[Effect, Estimate | Measured]) -> list[Effect]:
+def clearest(effects: Mapping[Effect, SeriesEstimate | Statistic]) -> list[Effect]:
     """The effects that differ from 0 if all are read together (Holm), the clearest first: that with the smallest p.
 
     With equal numbers of seeds, this is the largest |t|. Effects without spread have no p-value and are left out.
@@ -22,8 +22,8 @@ def clearest(effects: Mapping[Effect, Estimate | Measured]) -> list[Effect]:
     return sorted(shown, key=lambda name: (tested[name].p, -abs(_mean(tested[name]))))
 
 
-def _mean(each: Estimate | Measured) -> float:
-    return each.trial_mean if isinstance(each, Estimate) else each.value
+def _mean(each: SeriesEstimate | Statistic) -> float:
+    return each.trial_mean if isinstance(each, SeriesEstimate) else each.value
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

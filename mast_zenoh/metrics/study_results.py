@@ -21,7 +21,7 @@ NEGLIGIBLE = 1e-9
 LEVEL = 0.05
 
 
-class Series(NamedTuple):
+class StudySeries(NamedTuple):
     """Identifies a number in results.parquet; `owner` is the column `who`."""
 
     owner: str
@@ -30,7 +30,7 @@ class Series(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class SeriesEstimate:
     """One series of one configuration; unknown numbers are NaN.
 
     mean, std: over the frames of all trials, as in the paper; std is NaN for metrics of whole runs
@@ -103,7 +103,7 @@ class StudyRow:
     label: str
     run: str
     point: Mapping[str, object]
-    estimates: Mapping[Series, Estimate]
+    estimates: Mapping[StudySeries, SeriesEstimate]
     ego: str = "ego"
 
     @property
@@ -115,9 +115,9 @@ class StudyRow:
             else self.label
         )
 
-    def get(self, metric: str, estimator: str = "picture", owner: str | None = None) -> Estimate:
+    def get(self, metric: str, estimator: str = "picture", owner: str | None = None) -> SeriesEstimate:
         """The estimate of a series, by default of the ego; all NaN if there is none."""
-        return self.estimates.get(Series(owner or self.ego, estimator, metric), Estimate())
+        return self.estimates.get(StudySeries(owner or self.ego, estimator, metric), SeriesEstimate())
 
 
 def shares(row: StudyRow, outcome: str, estimator: str = "picture") -> dict[str, float]:
@@ -268,12 +268,12 @@ STUDENT, BOOTSTRAP, POISSON, BINOMIAL = "Student's t", "bootstrap over trials", 
 MOSTLY_ZERO = "none: mostly 0"
 
 
-class Measured(NamedTuple):
+class Statistic(NamedTuple):
     """A number over trials with its 95 % interval. NaN: unknown; infinite: beyond what was watched.
 
     trials:   number of trials behind it;  left_out: of those without it, because they failed or have no value
     interval: how the bounds were computed: STUDENT, BOOTSTRAP, POISSON, BINOMIAL; MOSTLY_ZERO or "" without bounds
-    p:        of a difference, as in `Estimate`
+    p:        of a difference, as in `SeriesEstimate`
     """
 
     value: float = NAN
@@ -291,7 +291,7 @@ class Measured(NamedTuple):
 
     @property
     def differs(self) -> bool:
-        """Whether a test says so, as in `Estimate`; without one, whether the interval does not contain 0."""
+        """Whether a test says so, as in `SeriesEstimate`; without one, whether the interval does not contain 0."""
         return self.p <= LEVEL if not math.isnan(self.p) else self.low > 0.0 or self.high < 0.0
 
 
@@ -300,14 +300,14 @@ class Row:
     """Numbers over the trials of one cell.
 
     of: what it is of, by name;  trials: their number, or that of pairs
-    numbers: by measure, each Measured or an Estimate
+    numbers: by measure, each a Statistic or a SeriesEstimate
     """
 
     of: dict[str, Any]
     trials: int
     numbers: Mapping[str, Any]
 
-    def __getitem__(self, measure: str) -> Measured:
+    def __getitem__(self, measure: str) -> Statistic:
         return self.numbers[measure]  # type: ignore[no-any-return]
 
     @property

@@ -22,7 +22,7 @@ from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, RunError, StartError
 from mast_zenoh.metrics import Table
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.study.trial import Outcome, Trial, environment
+from mast_zenoh.study.trial import Trial, TrialOutcome, environment
 
 if TYPE_CHECKING:
     from mast_zenoh.study.defences.kinds import Kind
@@ -44,7 +44,7 @@ def prepare(trial: Trial) -> None:
     _resolve(trial)
 
 
-def run(trial: Trial) -> Outcome:
+def run(trial: Trial) -> TrialOutcome:
     """Run a trial; errors are returned in the outcome. Raises Interrupted if a signal stopped it."""
     try:
         versions = environment(name for name, _ in trial.environment)
@@ -64,11 +64,11 @@ def run(trial: Trial) -> Outcome:
         else:
             metrics, table, handler_failures, cpu_s = _run_in_folder(resolved, trial, compromised)
         warning = failures.summary(handler_failures) if handler_failures else ""
-        return Outcome(trial, metrics, table, compromised, cpu_s=round(cpu_s, 3), warning=warning)
+        return TrialOutcome(trial, metrics, table, compromised, cpu_s=round(cpu_s, 3), warning=warning)
     except Interrupted:
         raise
     except Exception as error:
-        return Outcome.failed(trial, f"{type(error).__name__}: {error}")
+        return TrialOutcome.failed(trial, f"{type(error).__name__}: {error}")
 
 
 def _resolve(trial: Trial) -> Resolved:
@@ -162,7 +162,7 @@ def require(jobs: int, cluster: str | None) -> None:
         ) from None
 
 
-def run_all(trials: Sequence[Trial], *, jobs: int, cluster: str | None) -> Generator[Outcome, None, None]:
+def run_all(trials: Sequence[Trial], *, jobs: int, cluster: str | None) -> Generator[TrialOutcome, None, None]:
     """Yield the outcome of each trial as it completes, in any order; see `workers`.
 
     Closing the iterator, as an exception in its consumer does, cancels unfinished trials and stops local workers.
@@ -172,7 +172,7 @@ def run_all(trials: Sequence[Trial], *, jobs: int, cluster: str | None) -> Gener
 
 
 #: Yields the outcome of each trial as it completes, in any order; closing it cancels unfinished trials.
-RunTrials = Callable[[Sequence[Trial]], Generator[Outcome, None, None]]
+RunTrials = Callable[[Sequence[Trial]], Generator[TrialOutcome, None, None]]
 
 
 @contextmanager
@@ -193,12 +193,12 @@ def workers(jobs: int, cluster: str | None) -> Iterator[RunTrials]:
         yield partial(_run_on_cluster, client)
 
 
-def _run_here(trials: Sequence[Trial]) -> Generator[Outcome, None, None]:
+def _run_here(trials: Sequence[Trial]) -> Generator[TrialOutcome, None, None]:
     for trial in trials:
         yield run(trial)
 
 
-def _run_on_cluster(client: Any, trials: Sequence[Trial]) -> Generator[Outcome, None, None]:
+def _run_on_cluster(client: Any, trials: Sequence[Trial]) -> Generator[TrialOutcome, None, None]:
     """Prepare each scene in one task, on which the trials of that scene depend."""
     from distributed import as_completed
 
@@ -215,14 +215,14 @@ def _run_on_cluster(client: Any, trials: Sequence[Trial]) -> Generator[Outcome, 
             try:
                 outcome = future.result()
             except Exception as error:  # preparing the scene failed, or the worker died
-                outcome = Outcome.failed(trial, f"{type(error).__name__}: {error}")
+                outcome = TrialOutcome.failed(trial, f"{type(error).__name__}: {error}")
             future.release()
             yield outcome
     finally:
         client.cancel([*pending, *prepared.values()], force=True)
 
 
-def _run_after(trial: Trial, prepared: None) -> Outcome:
+def _run_after(trial: Trial, prepared: None) -> TrialOutcome:
     """Run a trial; `prepared` makes Dask prepare its scene first."""
     return run(trial)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from mast_zenoh.metrics import CAUSES, Table, increments
 from mast_zenoh.metrics.measures import COLUMNS
-from mast_zenoh.study.trial import Outcome, Trial
+from mast_zenoh.study.trial import Trial, TrialOutcome
 
 NAN = float("nan")
 #: The estimator of an adversary's achievements.
@@ -167,7 +167,7 @@ def _flatten(owner: str, estimator: str, path: tuple[str, ...], content: Any, fr
         yield Number(owner, estimator, ".".join(path), NAN if content is None else float(content))
 
 
-def values(outcome: Outcome, baseline: Outcome | None) -> list[Number]:
+def values(outcome: TrialOutcome, baseline: TrialOutcome | None) -> list[Number]:
     """All numbers of a successful trial, and its increments over the baseline.
 
     baseline: the outcome of the baseline in the same scene with the same seed; None: no increments
@@ -180,7 +180,7 @@ def values(outcome: Outcome, baseline: Outcome | None) -> list[Number]:
 
 
 def _increments_over_baseline(
-    baseline: Outcome, outcome: Outcome, attacked_numbers: Sequence[Number]
+    baseline: TrialOutcome, outcome: TrialOutcome, attacked_numbers: Sequence[Number]
 ) -> Iterator[Number]:
     """The ego's numbers minus the baseline's, named `<metric>_iob`.
 
@@ -204,7 +204,7 @@ def _increments_over_baseline(
             yield Number(agent, number.estimator, name, number.value - baseline_values[number.estimator, number.metric])
 
 
-def _paper_increments(baseline: Outcome, outcome: Outcome) -> Iterator[Number]:
+def _paper_increments(baseline: TrialOutcome, outcome: TrialOutcome) -> Iterator[Number]:
     """Increments over the ego alone (IoE), and increments of the compromised agents."""
     agent = ego(outcome.metrics)
     # Without the same agents in the baseline, as in a sweep over their number, there is nothing to compare them with.
@@ -223,7 +223,7 @@ def _paper_increments(baseline: Outcome, outcome: Outcome) -> Iterator[Number]:
         yield Number(agent, estimator, metric, mean, std, frames)
 
 
-def _scored_rows(outcome: Outcome) -> Table:
+def _scored_rows(outcome: TrialOutcome) -> Table:
     """The rows of the frames that are scored."""
     first, last = scored_frames(outcome.metrics)
     frame = outcome.per_frame["frame"]
@@ -258,7 +258,7 @@ def columns(trial: Trial, trial_numbers: Sequence[Number]) -> Table:
     }
 
 
-def frames(outcome: Outcome) -> Table:
+def frames(outcome: TrialOutcome) -> Table:
     """The rows of frames.parquet of one trial."""
     trial, count = outcome.trial, len(outcome.per_frame["frame"])
     key = {"configuration": trial.configuration, "scene": trial.scene, "seed": trial.seed}

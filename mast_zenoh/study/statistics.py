@@ -21,7 +21,7 @@ from scipy.special import betaincinv, stdtr, stdtrit
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.metrics import CAUSES
 from mast_zenoh.metrics.measures import MEASURES
-from mast_zenoh.metrics.study_results import MIN_SEEDS, NEGLIGIBLE, Estimate, Series
+from mast_zenoh.metrics.study_results import MIN_SEEDS, NEGLIGIBLE, SeriesEstimate, StudySeries
 from mast_zenoh.study.numbers import ACHIEVED, COOPERATION, DEFENCE, DRIVEN, DRIVING, NAN
 
 CONFIDENCE = 0.95
@@ -185,7 +185,7 @@ def _t_interval(mean: Floats, error: Floats, degrees: Floats) -> Interval:
 
 def trial_estimate(
     values: Floats, bounds: tuple[float, float], *, rate: bool = False, paired: bool = False
-) -> Estimate:
+) -> SeriesEstimate:
     """The mean over trials and its intervals, from an array (scenes, seeds), NaN where a trial has no value.
 
     bounds: smallest and largest possible value;  rate: whether values are 0 or 1
@@ -198,12 +198,12 @@ def trial_estimate(
     scenes, seeds = complete.shape
     left_out = values.shape[1] - seeds
     if not complete.size:
-        return Estimate(left_out=left_out)
+        return SeriesEstimate(left_out=left_out)
     mean = float(complete.mean())
     low, high = rate_interval(complete) if rate else over_seeds(complete)
     scenes_interval = (NAN, NAN) if rate else over_scenes(complete)
     low, high, wide_low, wide_high = np.clip([low, high, *scenes_interval], *bounds).tolist()
-    estimate = Estimate(
+    estimate = SeriesEstimate(
         mean=mean,
         trial_mean=mean,
         low=low,
@@ -231,7 +231,7 @@ def trial_estimate(
     return replace(estimate, low=NAN, high=NAN, scenes_low=NAN, scenes_high=NAN, p=p_value_of_signs(complete))
 
 
-def value_range(series: Series) -> tuple[float, float]:
+def value_range(series: StudySeries) -> tuple[float, float]:
     """(smallest, largest) possible value of a series; infinite where unknown.
 
     Counts, lengths and times are at least 0, shares are 0 to 1, differences can have either sign.

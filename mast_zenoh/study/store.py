@@ -19,7 +19,7 @@ from mast_zenoh.run_folder import check_plain, parse_json, read_json, subfolder
 from mast_zenoh.run_folder.recording.writer import FILE as RECORDING
 from mast_zenoh.run_folder.tables import from_arrow, read_arrow, to_arrow
 from mast_zenoh.study.definition import Study
-from mast_zenoh.study.trial import Outcome, Trial
+from mast_zenoh.study.trial import Trial, TrialOutcome
 
 _METADATA = b"mast-zenoh"
 
@@ -143,7 +143,7 @@ class Store:
         }
         run_folder.write_json(self.status_file, content)
 
-    def save(self, outcome: Outcome) -> None:
+    def save(self, outcome: TrialOutcome) -> None:
         """Store the outcome of a trial."""
         metadata = {
             "digest": outcome.trial.digest,
@@ -157,7 +157,7 @@ class Store:
         table = table.replace_schema_metadata({_METADATA: json.dumps(metadata, allow_nan=False).encode()})
         write_parquet(self._path(outcome.trial), table)
 
-    def load(self, trial: Trial) -> Outcome | None:
+    def load(self, trial: Trial) -> TrialOutcome | None:
         """The stored outcome of a trial; None if absent, broken, of another trial or with failures."""
         path = self._path(trial)
         try:
@@ -170,7 +170,7 @@ class Store:
             if metadata["warning"] and not trial.allow_failures:
                 return None
             kept = {name: metadata[name] for name in ("metrics", "cpu_s", "warning")}
-            return Outcome(trial, per_frame=columns, compromised=tuple(metadata["compromised"]), **kept)
+            return TrialOutcome(trial, per_frame=columns, compromised=tuple(metadata["compromised"]), **kept)
         except (OSError, ValueError, KeyError, TypeError, RunFolderError, pyarrow.ArrowException):
             return None
 

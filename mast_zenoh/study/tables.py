@@ -14,7 +14,7 @@ import pyarrow
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import TrialsFailed
-from mast_zenoh.metrics.study_results import Estimate, FailedTrial, IdleAttack, Series, StudyFacts, StudyRow
+from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, SeriesEstimate, StudyFacts, StudyRow, StudySeries
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.study import numbers, statistics
@@ -22,7 +22,7 @@ from mast_zenoh.study.defences import kinds
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.numbers import ACHIEVED, COMPROMISED, COOPERATION, DEFENCE, DRIVEN, NAN, Number, ego
 from mast_zenoh.study.store import Store, TableWriter
-from mast_zenoh.study.trial import Outcome, Trial
+from mast_zenoh.study.trial import Trial, TrialOutcome
 
 Value = int | float | str
 
@@ -167,11 +167,11 @@ class Samples:
         self._study = study
         self._scene = {scene.label: index for index, scene in enumerate(study.scenes)}
         self._seed = {seed: index for index, seed in enumerate(seeds)}
-        self._cells: dict[str, dict[Series, Floats]] = {each.label: {} for each in study.configurations}
-        self._rates: set[Series] = set()
+        self._cells: dict[str, dict[StudySeries, Floats]] = {each.label: {} for each in study.configurations}
+        self._rates: set[StudySeries] = set()
         self._ego = ""
 
-    def add(self, outcome: Outcome, trial_numbers: Iterable[Number]) -> None:
+    def add(self, outcome: TrialOutcome, trial_numbers: Iterable[Number]) -> None:
         """Add the numbers of a trial, `results.values`."""
         self._ego = agent = self._ego or ego(outcome.metrics)
         trial = outcome.trial
@@ -182,7 +182,7 @@ class Samples:
                 continue
             of_all = number.metric in COOPERATION.get(number.estimator, ())
             if number.owner in (agent, COMPROMISED) or number.estimator in (ACHIEVED, DEFENCE, DRIVEN) or of_all:
-                series = Series(*number[:3])
+                series = StudySeries(*number[:3])
                 if series not in cells:
                     cells[series] = np.full((3, len(self._scene), len(self._seed)), NAN)
                 cells[series][:, *cell] = number.value, number.std, number.frames
@@ -206,7 +206,7 @@ class Samples:
         ]
 
 
-def _estimate(series: Series, values: Floats, stds: Floats, frames: Floats, *, rate: bool) -> Estimate:
+def _estimate(series: StudySeries, values: Floats, stds: Floats, frames: Floats, *, rate: bool) -> SeriesEstimate:
     """The estimate of a series from arrays (scenes, seeds).
 
     NaN where a trial has no value.
@@ -222,7 +222,7 @@ def _estimate(series: Series, values: Floats, stds: Floats, frames: Floats, *, r
     return replace(estimate, mean=mean if over_frames else estimate.trial_mean, std=std)
 
 
-def _by_scene_and_seed(store: Store, trials: Sequence[Trial]) -> Iterator[list[Outcome]]:
+def _by_scene_and_seed(store: Store, trials: Sequence[Trial]) -> Iterator[list[TrialOutcome]]:
     """The outcomes of the trials that are done, all of one scene and seed at a time."""
     for _, group in groupby(trials, key=lambda trial: (trial.scene, trial.seed)):
         yield [outcome for outcome in map(store.load, group) if outcome is not None]

@@ -87,7 +87,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TrialOutcome:
     """The outcome of a trial.
 
     error: why it failed, or ""; warning: handler failures that were allowed
@@ -107,7 +107,7 @@ class Outcome:
     warning: str = ""
 
     @classmethod
-    def failed(cls, trial: Trial, reason: str) -> Outcome:
+    def failed(cls, trial: Trial, reason: str) -> TrialOutcome:
         """The outcome of a trial without results."""
         return cls(trial, {}, {}, error=reason)
 

@@ -30,7 +30,7 @@ from mast_zenoh.study import trial as identity
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.store import Store, status_written
 from mast_zenoh.study.tables import StudyResult
-from mast_zenoh.study.trial import Outcome, Trial
+from mast_zenoh.study.trial import Trial, TrialOutcome
 
 
 def run(
@@ -118,7 +118,9 @@ def progress_bars(console: Console) -> Progress:
     return Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console)
 
 
-def keep(outcomes: Iterable[Outcome], store: Store, failures: dict[str, str], progress: Progress, bar: TaskID) -> None:
+def keep(
+    outcomes: Iterable[TrialOutcome], store: Store, failures: dict[str, str], progress: Progress, bar: TaskID
+) -> None:
     """Store the outcomes of trials as they complete; failures: gets the error of each that failed, by digest."""
     for outcome in outcomes:
         trial = outcome.trial

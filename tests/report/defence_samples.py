@@ -12,8 +12,8 @@ from mast_zenoh.metrics.study_results import (
     BOOTSTRAP,
     POISSON,
     AgentTrustSeries,
-    Measured,
     Row,
+    Statistic,
     Survival,
     TrustPanel,
 )
@@ -21,15 +21,15 @@ from mast_zenoh.metrics.trust import roc
 from mast_zenoh.study.defences.matrix_tables import DEFENCE_MEASURES, DefenceRoc, MatrixTable
 
 DELAY = Survival(np.array([0.0, 0.3, 11.0]), np.array([1.0, 0.4, 0.4]), 3, 5)
-RUNS = Measured(0.0, 0.0, 0.07, 48, 0, BINOMIAL)
-ALARMS = Measured(0.4, 0.0, 1.2, 180, 0, POISSON)
-ATTACKED = Measured(1.0, 0.93, 1.0, 48, 0, BINOMIAL)
-SHARE = Measured(0.97, 0.95, 0.99, 48, 0, BOOTSTRAP)
+RUNS = Statistic(0.0, 0.0, 0.07, 48, 0, BINOMIAL)
+ALARMS = Statistic(0.4, 0.0, 1.2, 180, 0, POISSON)
+ATTACKED = Statistic(1.0, 0.93, 1.0, 48, 0, BINOMIAL)
+SHARE = Statistic(0.97, 0.95, 0.99, 48, 0, BOOTSTRAP)
 
 
-def row(defence: str, attack: str, **measures: Measured) -> Row:
-    values = {"damage": Measured(4.2, 3.9, 4.6, 48, 0, BOOTSTRAP), "honest_suspended_per_hour": ALARMS}
-    values |= {"framed": RUNS if attack == "Ghost" else Measured(), "lies_detected": SHARE}
+def row(defence: str, attack: str, **measures: Statistic) -> Row:
+    values = {"damage": Statistic(4.2, 3.9, 4.6, 48, 0, BOOTSTRAP), "honest_suspended_per_hour": ALARMS}
+    values |= {"framed": RUNS if attack == "Ghost" else Statistic(), "lies_detected": SHARE}
     values |= {"attacked": ATTACKED} if attack == "Ghost" else {}
     values |= {"wrongly_suspended": RUNS} if attack != "Ghost" else {}
     counts = {"liars_watched": 0.0, "liars_suspended": 0.0, "suspended_before": 0.0}
@@ -37,8 +37,8 @@ def row(defence: str, attack: str, **measures: Measured) -> Row:
         counts |= {"liars_watched": 5.0, "liars_suspended": 3.0}
     if attack.startswith("fault:"):
         counts |= {"seconds faulty trusted": 3.0, "seconds faulty suspended": 1.0}
-    numbers = dict.fromkeys(DEFENCE_MEASURES, Measured())
-    numbers |= {name: Measured(count, trials=48) for name, count in counts.items()}
+    numbers = dict.fromkeys(DEFENCE_MEASURES, Statistic())
+    numbers |= {name: Statistic(count, trials=48) for name, count in counts.items()}
     of = {
         "defence": defence,
         "attack": attack,
@@ -50,15 +50,15 @@ def row(defence: str, attack: str, **measures: Measured) -> Row:
     return Row(of, 48, numbers | values | measures)
 
 
-def summary(defence: str = "Wall", **changes: Measured) -> Row:
+def summary(defence: str = "Wall", **changes: Statistic) -> Row:
     values = dict(
         lies_detected=SHARE,
-        median_delay_s=Measured(0.3, 0.2, 0.5, 48, 0, BOOTSTRAP),
+        median_delay_s=Statistic(0.3, 0.2, 0.5, 48, 0, BOOTSTRAP),
         identifiable_removed=SHARE,
         alarms_per_hour=ALARMS,
-        frames=Measured(108_000.0, trials=180),
-        fn_added=Measured(0.01, 0.0, 0.02, 180, 0, BOOTSTRAP),
-        fp_added=Measured(-0.1, -0.2, -0.05, 180, 0, BOOTSTRAP),
+        frames=Statistic(108_000.0, trials=180),
+        fn_added=Statistic(0.01, 0.0, 0.02, 180, 0, BOOTSTRAP),
+        fp_added=Statistic(-0.1, -0.2, -0.05, 180, 0, BOOTSTRAP),
         faults_suspended=RUNS,
         framed_by_minority=RUNS,
     )
@@ -80,8 +80,8 @@ def panel(title: str) -> TrustPanel:
 
 def matrix(panels: int = 1, unshown: int = 0) -> MatrixTable:
     rows = [row(defence, attack) for defence in ("Open", "Wall") for attack in ("", "Ghost", "fault:pose")]
-    area = Measured(0.9, 0.85, 0.95, 48, 0, BOOTSTRAP)
-    curve = DefenceRoc("Wall", roc([1.0, 0.0], [True, False]), area, Measured(0.5, math.nan, math.nan, 4), 1.5)
+    area = Statistic(0.9, 0.85, 0.95, 48, 0, BOOTSTRAP)
+    curve = DefenceRoc("Wall", roc([1.0, 0.0], [True, False]), area, Statistic(0.5, math.nan, math.nan, 4), 1.5)
     titles = [f"Wall against Ghost{number} (1, worst)" for number in range(panels)]
     size = "6 seeds \u00d7 8 scenes"
     return MatrixTable(

@@ -10,16 +10,16 @@ import numpy as np
 from defence_samples import ATTACKED, matrix, summary
 from defence_samples import row as defence_row
 
-from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Measured, Row
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Row, Statistic
 from mast_zenoh.study.defences.published import Published, PublishedNumber
 from mast_zenoh.study.defences.scoreboard import FieldTable
 
 SCENES = ("4 poles", "4 cars")
-IDLE = Measured(0.0, 0.0, 0.1, 30, 0, BINOMIAL)
+IDLE = Statistic(0.0, 0.0, 0.1, 30, 0, BINOMIAL)
 
 
-def _attacked(attack: str, idle: bool) -> Measured:
-    return IDLE if idle else ATTACKED if attack else Measured()
+def _attacked(attack: str, idle: bool) -> Statistic:
+    return IDLE if idle else ATTACKED if attack else Statistic()
 
 
 def field(
@@ -47,13 +47,13 @@ def field(
                     harm = -2.5
                 width = 0.4 if at % 2 else 9.0
                 numbers = dict(
-                    damage=Measured(9.0 * bool(attack) + harm, 8.0, 10.0, 30, 0, STUDENT, 1e-9),
-                    by_attack=Measured(9.0 * bool(attack), 8.0, 10.0, 30, 0, STUDENT, 1e-9),
-                    harm=Measured(harm, harm - width, harm + width, 30, 0, BOOTSTRAP),
+                    damage=Statistic(9.0 * bool(attack) + harm, 8.0, 10.0, 30, 0, STUDENT, 1e-9),
+                    by_attack=Statistic(9.0 * bool(attack), 8.0, 10.0, 30, 0, STUDENT, 1e-9),
+                    harm=Statistic(harm, harm - width, harm + width, 30, 0, BOOTSTRAP),
                     attacked=_attacked(attack, idle and (at, attack) == (1, attacks[0])),
-                    honest_suspended=Measured((0.0, 0.0, 0.1, 0.8)[at % 4], 0.0, 1.0, 30, 0, BINOMIAL),
-                    cpu_ms=Measured(4.0 + at, 3.9, 4.1, 30, 0, BOOTSTRAP),
-                    cpu_ratio=Measured(1.0 + at / 4.0, 1.0, 1.5, 30, 0, BOOTSTRAP),
+                    honest_suspended=Statistic((0.0, 0.0, 0.1, 0.8)[at % 4], 0.0, 1.0, 30, 0, BINOMIAL),
+                    cpu_ms=Statistic(4.0 + at, 3.9, 4.1, 30, 0, BOOTSTRAP),
+                    cpu_ratio=Statistic(1.0 + at / 4.0, 1.0, 1.5, 30, 0, BOOTSTRAP),
                 )
                 of = dict(scene=scene, defence=defence, attack=attack, n_adversaries=count, placement=placement)
                 rows.append(Row(of, 30, numbers))
@@ -67,13 +67,13 @@ def field(
             },
             30,
             {
-                "broken 0": Measured(0.0, 0.0, 0.1, 30),
-                "broken 1": Measured(0.2, 0.1, 0.3, 30),
-                "broken 2": Measured(0.8, 0.6, 0.9, 30),
-                "breaks_at": Measured(1.25, 1.1, 1.5, 30)
+                "broken 0": Statistic(0.0, 0.0, 0.1, 30),
+                "broken 1": Statistic(0.2, 0.1, 0.3, 30),
+                "broken 2": Statistic(0.8, 0.6, 0.9, 30),
+                "breaks_at": Statistic(1.25, 1.1, 1.5, 30)
                 if defence == "Wall"
-                else Measured(math.inf, 1.8, math.inf, 30),
-                "weakest_at": Measured(1.25 if defence == "Wall" else math.inf),
+                else Statistic(math.inf, 1.8, math.inf, 30),
+                "weakest_at": Statistic(1.25 if defence == "Wall" else math.inf),
             },
         )
         for scene in ("", *scenes)
@@ -84,9 +84,9 @@ def field(
             {"defence": defence},
             30,
             dict(
-                harm_removed=Measured(0.75, 0.6, 0.9, 30, 0, BOOTSTRAP),
-                cpu_ratio_alone=Measured(1.5, 1.4, 1.6, 30, 0, BOOTSTRAP),
-                cpu_ratio_attacked=Measured(1.2, 1.1, 1.3, 30, 0, BOOTSTRAP),
+                harm_removed=Statistic(0.75, 0.6, 0.9, 30, 0, BOOTSTRAP),
+                cpu_ratio_alone=Statistic(1.5, 1.4, 1.6, 30, 0, BOOTSTRAP),
+                cpu_ratio_attacked=Statistic(1.2, 1.1, 1.3, 30, 0, BOOTSTRAP),
             ),
         )
         for defence in defences
@@ -100,7 +100,7 @@ def field(
         why="Walls are not tracks.",
     )
     published = [
-        (wall, [PublishedNumber("lies_detected", "Wall", ["Ghost"], Measured(0.5, 0.4, 0.6, 30, 0, BOOTSTRAP))])
+        (wall, [PublishedNumber("lies_detected", "Wall", ["Ghost"], Statistic(0.5, 0.4, 0.6, 30, 0, BOOTSTRAP))])
     ]
     of_matrix = matrix()
     of_matrix = replace(

@@ -6,32 +6,40 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
-from mast_zenoh.metrics.study_results import Estimate, FailedTrial, Series, StudyFacts, StudyRow
+from mast_zenoh.metrics.study_results import FailedTrial, SeriesEstimate, StudyFacts, StudyRow, StudySeries
 
-BASELINE = StudyRow("baseline", "baseline", {}, {Series("ego", "picture", "fp"): Estimate(1.0, 0.5, 1.0, 0.9, 1.1)})
+BASELINE = StudyRow(
+    "baseline", "baseline", {}, {StudySeries("ego", "picture", "fp"): SeriesEstimate(1.0, 0.5, 1.0, 0.9, 1.1)}
+)
 
 
-def estimate(mean: float, half: float = 0.5, p: float = 1e-9, seeds: int = 20) -> Estimate:
-    return Estimate(mean, 1.25, mean, mean - half, mean + half, p=p, scenes=3, seeds=seeds)
+def estimate(mean: float, half: float = 0.5, p: float = 1e-9, seeds: int = 20) -> SeriesEstimate:
+    return SeriesEstimate(mean, 1.25, mean, mean - half, mean + half, p=p, scenes=3, seeds=seeds)
 
 
 def row(run: str, point: dict[str, Any], fp: float) -> StudyRow:
     """A configuration that adds `fp` false objects to picture and mission."""
     estimates = {
-        Series("ego", "picture", "fp"): estimate(1.0 + fp, p=float("nan")),
-        Series("ego", "picture", "fp inserted"): Estimate(mean=2.0),
-        Series("ego", "picture", "fp clutter"): Estimate(mean=1.0),
-        Series("ego", "picture", "fp lag"): Estimate(mean=0.0),
-        Series("ego", "mission", "my_metric"): estimate(7.5, p=float("nan")),
-        Series("compromised", "local", "cafp_iob"): estimate(2.0 * fp),
-        Series("all", "achieved", "accepted"): Estimate(0.9, trial_mean=0.9, low=0.7, high=1.0, seeds=20, rate=True),
-        Series("adversary_1", "achieved", "accepted"): Estimate(0.4, trial_mean=0.4, low=0.2, high=0.6, rate=True),
+        StudySeries("ego", "picture", "fp"): estimate(1.0 + fp, p=float("nan")),
+        StudySeries("ego", "picture", "fp inserted"): SeriesEstimate(mean=2.0),
+        StudySeries("ego", "picture", "fp clutter"): SeriesEstimate(mean=1.0),
+        StudySeries("ego", "picture", "fp lag"): SeriesEstimate(mean=0.0),
+        StudySeries("ego", "mission", "my_metric"): estimate(7.5, p=float("nan")),
+        StudySeries("compromised", "local", "cafp_iob"): estimate(2.0 * fp),
+        StudySeries("all", "achieved", "accepted"): SeriesEstimate(
+            0.9, trial_mean=0.9, low=0.7, high=1.0, seeds=20, rate=True
+        ),
+        StudySeries("adversary_1", "achieved", "accepted"): SeriesEstimate(
+            0.4, trial_mean=0.4, low=0.2, high=0.6, rate=True
+        ),
     }
     for estimator in ("picture", "mission"):
-        estimates[Series("ego", estimator, "fp_iob")] = estimate(fp)
-        estimates[Series("ego", estimator, "fn_iob")] = estimate(-0.004, 0.02, p=0.4)
+        estimates[StudySeries("ego", estimator, "fp_iob")] = estimate(fp)
+        estimates[StudySeries("ego", estimator, "fn_iob")] = estimate(-0.004, 0.02, p=0.4)
     for metric in ("fn_iob", "fp_iob", "tp_iob", "rmse_m_iob", "id_switches_iob"):
-        estimates[Series("ego", "local", metric)] = Estimate(0.0, 0.0, 0.0, zero_share=1.0, scenes=3, seeds=20)
+        estimates[StudySeries("ego", "local", metric)] = SeriesEstimate(
+            0.0, 0.0, 0.0, zero_share=1.0, scenes=3, seeds=20
+        )
     return StudyRow("-".join([run, *map(str, point.values())]), run, point, estimates)
 
 

@@ -12,7 +12,7 @@ from defence_samples import agent, matrix, panel, row
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
-from mast_zenoh.metrics.study_results import BINOMIAL, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, Statistic
 from mast_zenoh.report.figures import facets
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.report.figures.trust import LOG_ODDS, draw_agent, legend, trust_figure
@@ -39,7 +39,7 @@ def test_the_heat_maps_have_a_scale_and_explain_their_marks(monkeypatch: pytest.
 
     monkeypatch.setattr(facets, "Figure", Kept)
     whole = matrix()
-    silent = {"attacked": Measured(0.0, 0.0, 0.1, 48, 0, BINOMIAL)}
+    silent = {"attacked": Statistic(0.0, 0.0, 0.1, 48, 0, BINOMIAL)}
     rows = [*(each for each in whole.rows if (each.of["defence"], each.of["attack"]) != ("Wall", "Ghost"))]
     figures_of_defences(replace(whole, rows=[*rows, row("Wall", "Ghost", **silent)]))
     maps, scale = figures[0].axes

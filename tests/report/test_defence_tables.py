@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 from defence_samples import SHARE, matrix, row, summary
 
-from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Statistic
 from mast_zenoh.report.compare import as_text
 from mast_zenoh.report.tables.text_table import measured, median_delay
 from mast_zenoh.study.defences.matrix_tables import DEFENCE_MEASURES, MatrixTable, defence_tables
@@ -19,23 +19,23 @@ from mast_zenoh.study.defences.matrix_tables import DEFENCE_MEASURES, MatrixTabl
 @pytest.mark.parametrize(
     ("number", "text"),
     [
-        (Measured(4.2, 3.9, 4.6, 48), "4.20 [3.90, 4.60]"),
-        (Measured(4.2, trials=4), "4.20"),
-        (Measured(0.0, trials=9), "0.00 (all equal)"),
-        (Measured(), "\u2013"),
-        (Measured(math.inf, 1.2, math.inf, 48), "not reached [1.20, \u221e)"),
-        (Measured(math.inf, math.inf, math.inf, 48), "not reached"),
-        (Measured(0.3, 0.2, math.inf, 48), "0.30 [0.20, \u221e)"),
-        (Measured(0.9912, 0.991, 0.9916, 48), "0.9912 [0.9910, 0.9916]"),
+        (Statistic(4.2, 3.9, 4.6, 48), "4.20 [3.90, 4.60]"),
+        (Statistic(4.2, trials=4), "4.20"),
+        (Statistic(0.0, trials=9), "0.00 (all equal)"),
+        (Statistic(), "\u2013"),
+        (Statistic(math.inf, 1.2, math.inf, 48), "not reached [1.20, \u221e)"),
+        (Statistic(math.inf, math.inf, math.inf, 48), "not reached"),
+        (Statistic(0.3, 0.2, math.inf, 48), "0.30 [0.20, \u221e)"),
+        (Statistic(0.9912, 0.991, 0.9916, 48), "0.9912 [0.9910, 0.9916]"),
     ],
 )
-def test_a_number_has_its_interval_or_why_there_is_none(number: Measured, text: str) -> None:
+def test_a_number_has_its_interval_or_why_there_is_none(number: Statistic, text: str) -> None:
     assert measured(number) == text
 
 
 def test_the_headline_is_the_clearest_damage_that_remains_if_all_are_read_together() -> None:
-    clear = Measured(0.47, 0.24, 0.72, 10, 0, STUDENT, 0.001)
-    unclear = Measured(5.0, -1.0, 11.0, 10, 0, STUDENT, 0.09)
+    clear = Statistic(0.47, 0.24, 0.72, 10, 0, STUDENT, 0.001)
+    unclear = Statistic(5.0, -1.0, 11.0, 10, 0, STUDENT, 0.09)
     rows = [row("Open", "Ghost", damage=unclear), row("Wall", "Ghost", damage=clear)]
     text = defence_tables(replace(matrix(), rows=rows)).headline
     assert text.startswith("The clearest damage: Ghost (1 agent, worst) against Wall adds 0.47 [0.24, 0.72] missed and")
@@ -45,7 +45,7 @@ def test_the_headline_is_the_clearest_damage_that_remains_if_all_are_read_togeth
 
 
 def test_users_metrics_have_a_table_and_lines_in_the_csv() -> None:
-    mine = {"half": Measured(3.0, 2.0, 4.0, 10), "half difference": Measured(1.0, 0.5, 1.5, 10)}
+    mine = {"half": Statistic(3.0, 2.0, 4.0, 10), "half difference": Statistic(1.0, 0.5, 1.5, 10)}
     tables = defence_tables(replace(matrix(), own=[replace(row("Wall", "Ghost"), numbers=mine)]))
     (own,) = [each for each in tables.tables if each.title == "Your metrics"]
     assert own.lines == [["Wall", "Ghost", "1", "worst", "3.00 [2.00, 4.00]", "1.00 [0.50, 1.50]"]]
@@ -77,12 +77,14 @@ def test_runs_without_an_attack_alone_have_no_empty_tables() -> None:
 
 
 def test_a_delay_of_which_less_than_half_is_known_says_so() -> None:
-    unknown = replace(matrix(), summaries=[summary(median_delay_s=Measured(math.nan, 1.2, math.inf, 48, 0, BOOTSTRAP))])
+    unknown = replace(
+        matrix(), summaries=[summary(median_delay_s=Statistic(math.nan, 1.2, math.inf, 48, 0, BOOTSTRAP))]
+    )
     assert "| not reached [1.20, \u221e) |" in defence_tables(unknown).as_markdown()
     assert r"not reached [1.20, $\infty$)" in defence_tables(unknown).as_latex()
     assert (
-        median_delay(Measured(math.nan, math.inf, math.inf, 48))
-        == median_delay(Measured(math.nan, trials=3))
+        median_delay(Statistic(math.nan, math.inf, math.inf, 48))
+        == median_delay(Statistic(math.nan, trials=3))
         == "not reached"
     )
 
@@ -92,8 +94,8 @@ def section(table: MatrixTable, title: str) -> str:
 
 
 def test_a_row_whose_attack_never_took_place_stays_and_says_in_how_many_runs_it_did() -> None:
-    silent = row("Wall", "Ghost", attacked=Measured(0.0, 0.0, 0.1, 48, 0, BINOMIAL), lies_detected=Measured())
-    some = row("Wall", "Ghost", attacked=Measured(0.25, 0.1, 0.4, 48, 0, BINOMIAL))
+    silent = row("Wall", "Ghost", attacked=Statistic(0.0, 0.0, 0.1, 48, 0, BINOMIAL), lies_detected=Statistic())
+    some = row("Wall", "Ghost", attacked=Statistic(0.25, 0.1, 0.4, 48, 0, BINOMIAL))
     whole = matrix()
     rows = [each for each in whole.rows if (each.of["defence"], each.of["attack"]) != ("Wall", "Ghost")]
     for own, lied in ((silent, "0 of 48"), (some, "12 of 48")):
@@ -104,7 +106,7 @@ def test_a_row_whose_attack_never_took_place_stays_and_says_in_how_many_runs_it_
 
 
 def test_false_alarms_before_a_lie_are_explained_where_they_raise_a_share() -> None:
-    early = row("Wall", "Ghost", suspended_before=Measured(2.0))
+    early = row("Wall", "Ghost", suspended_before=Statistic(2.0))
     text = section(replace(matrix(), rows=[early]), "Detection")
     assert text.strip().endswith("| 3 of 5 | 2 |")
     assert "their lies count as detected: false alarms make this share greater" in text
@@ -118,7 +120,7 @@ def test_displaced_objects_show_in_the_distance_between_picture_and_truth() -> N
 
 
 def test_the_summary_has_no_columns_that_apply_to_no_defence() -> None:
-    without_faults = replace(matrix(), summaries=[summary(faults_suspended=Measured())])
+    without_faults = replace(matrix(), summaries=[summary(faults_suspended=Statistic())])
     assert "runs with faults" in section(matrix(), "Summary")
     assert "runs with faults" not in section(without_faults, "Summary")
     assert "each with its most harmful budget" in section(matrix(), "Summary")
@@ -127,7 +129,7 @@ def test_the_summary_has_no_columns_that_apply_to_no_defence() -> None:
 
 
 def test_one_line_says_that_few_trials_have_no_intervals() -> None:
-    few = replace(matrix(), rows=[row("Wall", "Ghost", damage=Measured(4.2, trials=4))])
+    few = replace(matrix(), rows=[row("Wall", "Ghost", damage=Statistic(4.2, trials=4))])
     note = "Numbers without brackets are of fewer than 5 trials"
     assert as_text(defence_tables(few).as_rich()).count(note) == 1
     assert note in defence_tables(few).as_markdown()

@@ -9,7 +9,7 @@ import pytest
 from browser import chromium
 from study_samples import BASELINE, estimate, facts, row
 
-from mast_zenoh.metrics.study_results import Series
+from mast_zenoh.metrics.study_results import StudySeries
 from mast_zenoh.report.html import write_study_report, write_trials_page
 
 _SCORES = """() => [...document.querySelectorAll("table.scores")].map(
@@ -42,9 +42,9 @@ def test_a_study_fits_500_px_and_paper(three_runs: dict[str, Path], tmp_path: Pa
 
 
 def test_a_study_with_many_files_and_achievements_fits_500_px_and_paper(tmp_path: Path) -> None:
-    achieved = {Series("all", "achieved", f"share_of_number_{number}"): estimate(0.5) for number in range(24)}
+    achieved = {StudySeries("all", "achieved", f"share_of_number_{number}"): estimate(0.5) for number in range(24)}
     scores = {
-        Series("ego", estimator, metric): estimate(12.34)
+        StudySeries("ego", estimator, metric): estimate(12.34)
         for estimator in ("local", "picture", "mission")
         for metric in ("fn", "fp", "tp", "rmse_m", "id_switches")
     }

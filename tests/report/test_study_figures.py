@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from study_samples import BASELINE, estimate, facts, grid, row
 
-from mast_zenoh.metrics.study_results import Series, StudyRow
+from mast_zenoh.metrics.study_results import StudyRow, StudySeries
 from mast_zenoh.report.figures import study
 from mast_zenoh.report.figures.study import Panel, figures_over_trials, panels
 
@@ -102,7 +102,7 @@ def test_figures_are_reproducible_and_state_their_sample(monkeypatch: pytest.Mon
 def test_figures_explain_missing_bars(
     monkeypatch: pytest.MonkeyPatch, seeds: int, half: float, footer: str, caption: str
 ) -> None:
-    added = {Series("ego", "picture", "fp_iob"): estimate(2.0, half, seeds=seeds)}
+    added = {StudySeries("ego", "picture", "fp_iob"): estimate(2.0, half, seeds=seeds)}
     rows = [BASELINE, StudyRow("a", "a", {}, added)]
     footers = []
     pictures = study._draw
@@ -115,7 +115,7 @@ def test_figures_explain_missing_bars(
 def test_success_begins_at_zero_adversaries_and_every_figure_is_also_a_pdf(tmp_path, monkeypatch) -> None:
     drawn = {}
     monkeypatch.setattr(study, "_render", lambda name, figure, *_: drawn.setdefault(name, figure))
-    success = Series("all", "mission", "success_fp")
+    success = StudySeries("all", "mission", "success_fp")
     rows = [BASELINE, *grid("a", n_adversaries=(1, 2, 3))]
     rated = replace(estimate(0.5), rate=True)
     rows[1:] = [replace(each, estimates={**each.estimates, success: rated}) for each in rows[1:]]

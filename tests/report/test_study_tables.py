@@ -14,7 +14,7 @@ from rich.console import Console
 from study_samples import BASELINE, estimate, facts, grid, row
 
 from mast_zenoh.metrics.significance import holm
-from mast_zenoh.metrics.study_results import Estimate, FailedTrial, IdleAttack, Series, StudyRow, shares
+from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, SeriesEstimate, StudyRow, StudySeries, shares
 from mast_zenoh.report.narrative.study import compare, other_changes, reservations, result
 from mast_zenoh.report.tables import study
 from mast_zenoh.report.tables.study_rows import over_trials
@@ -33,15 +33,15 @@ def shown(rows=ROWS, failed=()) -> str:
 @pytest.mark.parametrize(
     ("numbers", "text"),
     [
-        (Estimate(3.42, 1.2, 3.4, 3.1, 3.7, seeds=20), "3.40 [3.10, 3.70]"),
-        (Estimate(), "\u2013"),
-        (Estimate(3.4, 1.2, 3.4, seeds=4), "3.40 (n < 5)"),
-        (Estimate(0.0, 0.0, 0.0, seeds=20), "0.00 (all equal)"),
-        (Estimate(trial_mean=0.0163, low=0.0143, high=0.0183, seeds=20), "0.016 [0.014, 0.018]"),
-        (Estimate(trial_mean=0.9, low=0.683, high=0.988, seeds=20, rate=True), "90 % [68, 99]"),
+        (SeriesEstimate(3.42, 1.2, 3.4, 3.1, 3.7, seeds=20), "3.40 [3.10, 3.70]"),
+        (SeriesEstimate(), "\u2013"),
+        (SeriesEstimate(3.4, 1.2, 3.4, seeds=4), "3.40 (n < 5)"),
+        (SeriesEstimate(0.0, 0.0, 0.0, seeds=20), "0.00 (all equal)"),
+        (SeriesEstimate(trial_mean=0.0163, low=0.0143, high=0.0183, seeds=20), "0.016 [0.014, 0.018]"),
+        (SeriesEstimate(trial_mean=0.9, low=0.683, high=0.988, seeds=20, rate=True), "90 % [68, 99]"),
     ],
 )
-def test_estimates_show_their_interval_or_why_there_is_none(numbers: Estimate, text: str) -> None:
+def test_estimates_show_their_interval_or_why_there_is_none(numbers: SeriesEstimate, text: str) -> None:
     assert over_trials(numbers) == text
 
 
@@ -60,12 +60,14 @@ def test_unchanged_estimates_of_the_ego_become_one_sentence() -> None:
     text = " ".join(shown().split())
     assert "Not changed in any trial: ego alone." in text
     assert "What the attack adds: ego alone" not in text
-    changed = replace(ROWS[1], estimates={**ROWS[1].estimates, Series("ego", "local", "fp_iob"): estimate(0.5)})
+    changed = replace(ROWS[1], estimates={**ROWS[1].estimates, StudySeries("ego", "local", "fp_iob"): estimate(0.5)})
     assert "What the attack adds: ego alone" in shown([BASELINE, changed])
 
 
 def test_differing_means_over_trials_and_frames_are_both_shown() -> None:
-    odd = StudyRow("x", "x", {}, {Series("ego", "picture", "fp_iob"): Estimate(3.0, 1.0, 2.5, 2.0, 3.0, seeds=6)})
+    odd = StudyRow(
+        "x", "x", {}, {StudySeries("ego", "picture", "fp_iob"): SeriesEstimate(3.0, 1.0, 2.5, 2.0, 3.0, seeds=6)}
+    )
     assert "2.50 [2.00, 3.00]" in shown([BASELINE, odd])
 
 
@@ -109,7 +111,7 @@ def test_latex_has_equal_cells_in_every_row_and_escapes_special_characters() -> 
 
 
 def test_latex_has_booktabs_rules_and_all_metrics_of_each_estimate() -> None:
-    own = replace(ROWS[1], estimates={**ROWS[1].estimates, Series("ego", "mission", "near_misses"): estimate(1.0)})
+    own = replace(ROWS[1], estimates={**ROWS[1].estimates, StudySeries("ego", "mission", "near_misses"): estimate(1.0)})
     text = study.as_latex([BASELINE, own], facts([BASELINE, own]))
     assert text.startswith("% needs \\usepackage{booktabs}\n")
     tabulars = text.count(r"\begin{tabular}")
@@ -133,7 +135,9 @@ def test_holm_adjusts_step_by_step() -> None:
 
 
 def test_comparisons_outside_the_tables_are_counted_separately() -> None:
-    extra = replace(ROWS[1], estimates={**ROWS[1].estimates, Series("ego", "mission", "my_metric_iob"): estimate(1.0)})
+    extra = replace(
+        ROWS[1], estimates={**ROWS[1].estimates, StudySeries("ego", "mission", "my_metric_iob"): estimate(1.0)}
+    )
     comparisons = compare([BASELINE, extra], "baseline")
     assert comparisons.count == 5, (
         "fp and fn of picture and mission, fp of the compromised; those all equal have no test"
@@ -158,29 +162,29 @@ def test_result_is_the_largest_significant_change_of_what_the_ego_acts_on() -> N
     [
         (estimate(0.1, 0.5, p=0.6), "in any estimate of the ego distinguishably, in 1 comparison"),
         (
-            Estimate(4.0, 1.0, 4.0, seeds=3),
+            SeriesEstimate(4.0, 1.0, 4.0, seeds=3),
             "in the picture, too few seeds for an interval: in a the picture has 4.00 more false",
         ),
         (
-            Estimate(0.0, 0.0, 0.0, zero_share=1.0, seeds=20),
+            SeriesEstimate(0.0, 0.0, 0.0, zero_share=1.0, seeds=20),
             "No configuration changes false or missed objects in any estimate of the ego, in any trial",
         ),
         (None, "No trial has results for its baseline"),
     ],
 )
-def test_result_without_a_significant_change_is_stated(estimates: Estimate | None, text: str) -> None:
+def test_result_without_a_significant_change_is_stated(estimates: SeriesEstimate | None, text: str) -> None:
     assert text in words(**({"fp_iob": estimates} if estimates else {}))[0]
 
 
-def words(**increments: Estimate) -> tuple[str, list[str]]:
+def words(**increments: SeriesEstimate) -> tuple[str, list[str]]:
     """The result and other changes of a study in which `a` changes the picture."""
-    known = {Series("ego", "picture", name): each for name, each in increments.items()}
+    known = {StudySeries("ego", "picture", name): each for name, each in increments.items()}
     rows = [BASELINE, StudyRow("a", "a", {}, known)]
     comparisons = compare(rows, "baseline")
     return result(rows, facts(rows), comparisons), other_changes(rows, facts(rows), comparisons)
 
 
-SAME = Estimate(0.57, 0.5, 0.57, scenes=1, seeds=5)
+SAME = SeriesEstimate(0.57, 0.5, 0.57, scenes=1, seeds=5)
 
 
 def test_equal_difference_in_all_seeds_is_certain_and_precedes_rmse() -> None:
@@ -225,7 +229,7 @@ def test_the_headline_never_denies_a_change_that_remains_after_holm() -> None:
                 f"a{k}",
                 "a",
                 {},
-                {Series("ego", "picture", n): estimate(2.0, p=p) for n, p in zip(names, of, strict=True)},
+                {StudySeries("ego", "picture", n): estimate(2.0, p=p) for n, p in zip(names, of, strict=True)},
             )
             for k, of in enumerate(p_values)
         ]
@@ -239,7 +243,7 @@ def test_the_headline_never_denies_a_change_that_remains_after_holm() -> None:
 
 
 def test_equal_values_in_all_trials_are_reported_as_unchanged() -> None:
-    equal = Estimate(0.0, 0.0, 0.0, zero_share=1.0, scenes=1, seeds=5)
+    equal = SeriesEstimate(0.0, 0.0, 0.0, zero_share=1.0, scenes=1, seeds=5)
     _, others = words(fp_iob=estimate(2.0), fn_iob=estimate(0.0, p=0.9), id_switches_iob=equal)
     assert "Unchanged in all trials: identity switches." in others
     assert "Not distinguishable from the baseline: missed objects." in others
@@ -249,8 +253,8 @@ def test_equal_values_in_all_trials_are_reported_as_unchanged() -> None:
 
 def test_seeds_left_out_are_reported_per_affected_number() -> None:
     whole = replace(estimate(1.0), seeds=18, left_out=2)
-    some = {Series("ego", "picture", "fp"): estimate(1.0), Series("ego", "picture", "rmse_m"): whole}
-    rows = [StudyRow("a", "a", {}, {Series("ego", "picture", "fp"): whole}), StudyRow("b", "b", {}, some)]
+    some = {StudySeries("ego", "picture", "fp"): estimate(1.0), StudySeries("ego", "picture", "rmse_m"): whole}
+    rows = [StudyRow("a", "a", {}, {StudySeries("ego", "picture", "fp"): whole}), StudyRow("b", "b", {}, some)]
     rows.append(StudyRow("c", "c", {}, {}))
     assert reservations(rows, facts(rows)) == [
         "a: 2 of 20 seeds left out: a trial failed or has no such value.",
@@ -288,7 +292,7 @@ def test_a_wide_table_has_parts_of_whole_groups_and_one_caption() -> None:
 
 
 def test_studies_of_peers_and_radio_show_whom_attacks_deceived_and_the_load_of_the_channel() -> None:
-    deceived, busy = Series("all", "pictures", "deceived.share"), Series("all", "channel", "busy_ratio")
+    deceived, busy = StudySeries("all", "pictures", "deceived.share"), StudySeries("all", "channel", "busy_ratio")
     peers = replace(ROWS[1], estimates={**ROWS[1].estimates, deceived: estimate(0.25, 0.1)})
     radio = replace(ROWS[2], estimates={**ROWS[2].estimates, deceived: estimate(0.3, 0.1), busy: estimate(0.6, 0.1)})
     text = shown([BASELINE, peers, radio])

@@ -13,7 +13,7 @@ from rich.console import Console
 from scipy.stats import binomtest
 from study_samples import BASELINE, facts, grid
 
-from mast_zenoh.metrics.study_results import Series
+from mast_zenoh.metrics.study_results import StudySeries
 from mast_zenoh.report.figures.study import figures_over_trials
 from mast_zenoh.report.html import write_trials_page
 from mast_zenoh.report.tables import study
@@ -30,7 +30,7 @@ WARNING = "The mean has no interval: it would be too narrow."
 
 def rows():
     attacked = grid("uncoordinated", n=(1, 2))
-    changed = {Series("ego", estimator, "fn_iob"): MISSED for estimator in ("picture", "mission")}
+    changed = {StudySeries("ego", estimator, "fn_iob"): MISSED for estimator in ("picture", "mission")}
     return [BASELINE, *(replace(row, estimates={**row.estimates, **changed}) for row in attacked)]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.study.definition import Configuration, Study, StudyScene
-from mast_zenoh.study.trial import Outcome, Trial
+from mast_zenoh.study.trial import Trial, TrialOutcome
 
 FRAMES = 4
 
@@ -39,7 +39,7 @@ def outcome(
     achieved: dict[str, Any] | None = None,
     driving: dict[str, Any] | None = None,
     driven: dict[str, Any] | None = None,
-) -> Outcome:
+) -> TrialOutcome:
     """A trial of one agent with `fp` false objects in every frame.
 
     agents: other metrics, by estimator"""
@@ -67,4 +67,4 @@ def outcome(
         "driven": driven or {},
         "latency_ms": {"sim_to_picture": {"p50": 3.0}},
     }
-    return Outcome(trial(configuration, scene, seed), metrics, per_frame)
+    return TrialOutcome(trial(configuration, scene, seed), metrics, per_frame)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mast_zenoh.metrics.study_results import Series
+from mast_zenoh.metrics.study_results import StudySeries
 from mast_zenoh.study.statistics import (
     Moments,
     clopper_pearson,
@@ -168,6 +168,6 @@ def test_page_shows_the_simulated_coverage(simulated: Coverage) -> None:
 
 
 def test_shares_of_pictures_and_of_the_channel_end_at_one() -> None:
-    assert value_range(Series("all", "pictures", "deceived.share")) == (0.0, 1.0)
-    assert value_range(Series("all", "channel", "busy_ratio")) == (0.0, 1.0)
-    assert value_range(Series("all", "pictures", "difference_gospa_m")) == (0.0, np.inf)
+    assert value_range(StudySeries("all", "pictures", "deceived.share")) == (0.0, 1.0)
+    assert value_range(StudySeries("all", "channel", "busy_ratio")) == (0.0, 1.0)
+    assert value_range(StudySeries("all", "pictures", "difference_gospa_m")) == (0.0, np.inf)

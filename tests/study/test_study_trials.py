@@ -22,7 +22,7 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.metrics.estimates import ESTIMATORS, LOCAL, PICTURE, RECEIVED
 from mast_zenoh.study import definition, execution, trial, trials
 from mast_zenoh.study.store import Store
-from mast_zenoh.study.trial import Outcome, Trial
+from mast_zenoh.study.trial import Trial, TrialOutcome
 
 pytestmark = pytest.mark.heavy
 
@@ -40,7 +40,7 @@ def trials_run(monkeypatch: pytest.MonkeyPatch) -> list[Trial]:
     executed: list[Trial] = []
     run = execution.run
 
-    def record(each: Trial) -> Outcome:
+    def record(each: Trial) -> TrialOutcome:
         executed.append(each)
         return run(each)
 
@@ -92,7 +92,7 @@ def test_interrupted_study_resumes_without_repeating_trials(
 ) -> None:
     run = execution.run
 
-    def interrupted(each: Trial) -> Outcome:
+    def interrupted(each: Trial) -> TrialOutcome:
         if len(trials_run) == 3:
             raise KeyboardInterrupt
         return run(each)
@@ -155,7 +155,7 @@ def test_a_study_that_fills_the_disk_ends_with_a_final_status(small, monkeypatch
     """The first trial's results still fit; then the disk is full to the last byte."""
     save = Store.save
 
-    def filling(store: Store, outcome: Outcome) -> None:
+    def filling(store: Store, outcome: TrialOutcome) -> None:
         save(store, outcome)
         with (tiny_disk / "filler").open("wb", buffering=0) as file, contextlib.suppress(OSError):
             while True:
@@ -171,9 +171,9 @@ def test_a_study_that_fills_the_disk_ends_with_a_final_status(small, monkeypatch
 def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, monkeypatch, tmp_path: Path) -> None:
     run = execution.run
 
-    def failing(each: Trial) -> Outcome:
+    def failing(each: Trial) -> TrialOutcome:
         if each.configuration == "attacked-1-5.0" and each.seed == 1:
-            return Outcome.failed(each, "RunError: on purpose")
+            return TrialOutcome.failed(each, "RunError: on purpose")
         return run(each)
 
     with monkeypatch.context() as patch:

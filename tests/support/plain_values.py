@@ -20,7 +20,7 @@ from mast_zenoh.v2x.asn1.asn1_types import (
     Wrapped,
 )
 from mast_zenoh.v2x.asn1.codec_kernels import Values
-from mast_zenoh.v2x.asn1.layout import EncodingProgram, Kind, extension_slot, places, width
+from mast_zenoh.v2x.asn1.layout import EncodingProgram, NodeKind, extension_slot, places, width
 from mast_zenoh.v2x.asn1.uper import unknown_name
 
 
@@ -81,12 +81,12 @@ class _Writer:
         unknown = {name: value for name, value in plain.items() if name not in {place.name for place in places(type)}}
         for place in places(type):
             if place.name in plain:
-                if place.kind >= Kind.OPTIONAL:
+                if place.kind >= NodeKind.OPTIONAL:
                     self.values[slot + place.first] = 1
                 self.write(place.type, slot + place.slot, plain[place.name], f"{path}.{place.name}")
-            elif place.kind == Kind.DEFAULT:
+            elif place.kind == NodeKind.DEFAULT:
                 self.values[slot + place.slot] = place.default
-            elif place.kind == Kind.MANDATORY:
+            elif place.kind == NodeKind.MANDATORY:
                 raise MessageError(f"{path}: found no {place.name}, expected it")
         if type.additions is None:
             if unknown:

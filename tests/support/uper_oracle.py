@@ -12,7 +12,7 @@ import numpy as np
 
 from mast_zenoh.v2x.asn1.asn1_types import LONGEST
 from mast_zenoh.v2x.asn1.codec_kernels import CodecFault, Refusal, Values
-from mast_zenoh.v2x.asn1.layout import Kind, Op
+from mast_zenoh.v2x.asn1.layout import NodeKind, Op
 
 
 def decode_values(program: Values, data: bytes) -> tuple[Values | None, Refusal | None]:
@@ -227,18 +227,18 @@ class _Decoder(_Coder):
         for field in range(n_fields):
             kind, offset, address, default = self.program[node + 5 + 4 * field : node + 9 + 4 * field]
             self.path.append(field)
-            if kind != Kind.MANDATORY:
+            if kind != NodeKind.MANDATORY:
                 n_flags -= 1
                 present = (flags >> n_flags) & 1
-                if kind == Kind.DEFAULT:
+                if kind == NodeKind.DEFAULT:
                     self.values[slot + offset] = default
                 else:
                     self.values[slot + offset - 1] = present
-                    if (kind == Kind.PRESENT and not present) or (kind == Kind.ABSENT and present):
+                    if (kind == NodeKind.PRESENT and not present) or (kind == NodeKind.ABSENT and present):
                         raise _Refused(CodecFault.PRESENCE, present)
-            if kind == Kind.MANDATORY or present:
+            if kind == NodeKind.MANDATORY or present:
                 self.node(address, slot + offset)
-                if kind == Kind.DEFAULT and self.values[slot + offset] == default:
+                if kind == NodeKind.DEFAULT and self.values[slot + offset] == default:
                     raise _Refused(CodecFault.LONGER, default)
             self.path.pop()
         if extended:
@@ -408,17 +408,17 @@ class _Encoder(_Coder):
         for field, (kind, offset, _, default) in enumerate(fields):
             self.path.append(field)
             present.append(1)
-            if kind == Kind.DEFAULT:
+            if kind == NodeKind.DEFAULT:
                 present[-1] = int(self.values[slot + offset] != default)
-            elif kind != Kind.MANDATORY:
+            elif kind != NodeKind.MANDATORY:
                 present[-1] = self.flag(slot + offset - 1)
-                if (kind == Kind.PRESENT and not present[-1]) or (kind == Kind.ABSENT and present[-1]):
+                if (kind == NodeKind.PRESENT and not present[-1]) or (kind == NodeKind.ABSENT and present[-1]):
                     raise _Refused(CodecFault.PRESENCE, present[-1])
             self.path.pop()
         if additions >= 0:
             self.put(int(self.values[slot + extension] != 0), 1)
         for field, (kind, *_) in enumerate(fields):
-            if kind != Kind.MANDATORY:
+            if kind != NodeKind.MANDATORY:
                 self.put(present[field], 1)
         for field, (_, offset, address, _) in enumerate(fields):
             if present[field]:

@@ -12,11 +12,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 
-from mast_zenoh.metrics.study_results import MIN_SEEDS, Estimate, Row, StudyFacts, StudyRow, plural
+from mast_zenoh.metrics.study_results import MIN_SEEDS, Row, SeriesEstimate, StudyFacts, StudyRow, plural
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.facets import Axis, facet
 from mast_zenoh.report.figures.style import Figure, heat_map, plain
-from mast_zenoh.report.tables.study_rows import PAPER, Column, over_trials
+from mast_zenoh.report.tables.study_rows import PAPER, StudyColumn, over_trials
 from mast_zenoh.viewer.palette import INK
 
 #: Two numeric parameters with this many values each make a heat map instead of curves.
@@ -163,21 +163,23 @@ class StudyAxis(NamedTuple):
 
     title: str
     label: str
-    column: Column
+    column: StudyColumn
 
 
 #: The axes of the figures of increments, by file name.
 _INCREMENTS: dict[str, tuple[StudyAxis, ...]] = {
     "increments": (
-        StudyAxis("False objects: picture", f"{_ADDED}, per frame", Column("", "fp_iob")),
-        StudyAxis("Missed objects: picture", f"{_ADDED}, per frame", Column("", "fn_iob")),
+        StudyAxis("False objects: picture", f"{_ADDED}, per frame", StudyColumn("", "fp_iob")),
+        StudyAxis("Missed objects: picture", f"{_ADDED}, per frame", StudyColumn("", "fn_iob")),
         StudyAxis("False objects: compromised agents", f"{_ADDED}, per frame", PAPER[0][1][1]),
     ),
     "increments_mission": (
-        StudyAxis("False objects: ego with the picture", f"{_ADDED}, per frame", Column("", "fp_iob", "mission")),
-        StudyAxis("Missed objects: ego with the picture", f"{_ADDED}, per frame", Column("", "fn_iob", "mission")),
+        StudyAxis("False objects: ego with the picture", f"{_ADDED}, per frame", StudyColumn("", "fp_iob", "mission")),
+        StudyAxis("Missed objects: ego with the picture", f"{_ADDED}, per frame", StudyColumn("", "fn_iob", "mission")),
         StudyAxis(
-            "Identity switches: ego with the picture", f"{_ADDED}, per run", Column("", "id_switches_iob", "mission")
+            "Identity switches: ego with the picture",
+            f"{_ADDED}, per run",
+            StudyColumn("", "id_switches_iob", "mission"),
         ),
     ),
 }
@@ -213,13 +215,13 @@ def _success(rows: Sequence[StudyRow]) -> tuple[StudyAxis, ...]:
     overall = [each for each in series if each.owner == "all"][:3]
     return tuple(
         StudyAxis(
-            each.metric.replace("_", " "), "success rate (%)", Column("", each.metric, each.estimator, each.owner)
+            each.metric.replace("_", " "), "success rate (%)", StudyColumn("", each.metric, each.estimator, each.owner)
         )
         for each in overall
     )
 
 
-def _seeds(rows: Sequence[StudyRow], axis: StudyAxis) -> list[Estimate]:
+def _seeds(rows: Sequence[StudyRow], axis: StudyAxis) -> list[SeriesEstimate]:
     """The estimates with at least one seed."""
     return [each for row in rows if (each := axis.column.of(row)).seeds]
 
@@ -240,7 +242,7 @@ def _footer(rows: Sequence[StudyRow], axes: Sequence[StudyAxis], interval: str) 
     return f"{sample}; no interval {' and '.join(reasons)}"
 
 
-def _without_bar(estimates: Sequence[Estimate]) -> tuple[bool, bool, bool]:
+def _without_bar(estimates: Sequence[SeriesEstimate]) -> tuple[bool, bool, bool]:
     """Whether any estimate lacks an interval: (too few seeds, all seeds equal, most trials 0)."""
     bare = [each for each in estimates if math.isnan(each.low)]
     few = any(each.seeds < MIN_SEEDS for each in bare)
@@ -312,7 +314,7 @@ def _curves(strip: SubFigure, panel: Panel, columns: Sequence[StudyAxis]) -> Non
         axes.append(Axis(title, label, 100.0 if rate else 1.0, title=title))
         # No adversary, no success.
         if rate and panel.x.rpartition(".")[2] == "n_adversaries" and panel.numeric and 0 not in panel.ticks:
-            nothing = {each: Estimate(trial_mean=0.0) for each, *_ in columns}
+            nothing = {each: SeriesEstimate(trial_mean=0.0) for each, *_ in columns}
             rows.append(Row({"x": 0, "curve": ""}, 0, nothing))
     numbers = [float(row.of["x"]) for row in rows] if panel.numeric else []
     wide = len(panel.ticks) > 2 and min(numbers, default=0.0) > 0.0 and max(numbers) / min(numbers) >= _LOG_FROM
@@ -320,7 +322,7 @@ def _curves(strip: SubFigure, panel: Panel, columns: Sequence[StudyAxis]) -> Non
     facet(rows, "x", axes, "curve", label=label, log=wide, into=strip, title=plain(panel.title))
 
 
-def _heat_map(axes: Axes, panel: Panel, column: Column, scale: float) -> None:
+def _heat_map(axes: Axes, panel: Panel, column: StudyColumn, scale: float) -> None:
     """Means as colours and numbers, in brackets if the interval contains 0 or is none."""
     means = np.full((len(panel.curves), len(panel.ticks)), np.nan)
     texts = [[""] * len(panel.ticks) for _ in panel.curves]

@@ -11,11 +11,11 @@ from mast_zenoh.metrics.measures import COLUMNS
 from mast_zenoh.metrics.significance import clearest, holm
 from mast_zenoh.metrics.study_results import (
     LEVEL,
-    Estimate,
     IdleAttack,
-    Series,
+    SeriesEstimate,
     StudyFacts,
     StudyRow,
+    StudySeries,
     plural,
 )
 from mast_zenoh.report.tables.study_rows import (
@@ -24,7 +24,7 @@ from mast_zenoh.report.tables.study_rows import (
     DRIVEN,
     ESTIMATORS,
     PAPER,
-    Column,
+    StudyColumn,
     bounds,
     columns_of,
     unchanged,
@@ -41,8 +41,8 @@ class Comparisons:
     others:   number of other tested contrasts in table.csv, which are not counted
     """
 
-    adjusted: Mapping[tuple[str, Series], float]
-    clearest: Sequence[tuple[str, Series]]
+    adjusted: Mapping[tuple[str, StudySeries], float]
+    clearest: Sequence[tuple[str, StudySeries]]
     others: int
 
     @property
@@ -55,9 +55,9 @@ class Comparisons:
         """Bonferroni level of each interval for a joint level of LEVEL."""
         return LEVEL / max(self.count, 1)
 
-    def remains(self, row: StudyRow, column: Column) -> bool:
+    def remains(self, row: StudyRow, column: StudyColumn) -> bool:
         """Whether the difference is distinguishable from 0 after Holm's procedure."""
-        series = Series(column.owner or row.ego, column.estimator, column.metric)
+        series = StudySeries(column.owner or row.ego, column.estimator, column.metric)
         return self.adjusted.get((row.label, series), 1.0) <= LEVEL
 
     def remaining(self) -> int:
@@ -104,7 +104,7 @@ _LEAST = 0.01
 #: Estimates in order of priority: what the ego acts on comes first.
 _PRIORITY = (MISSION, PICTURE, LOCAL)
 
-_Change = tuple[StudyRow, Column]
+_Change = tuple[StudyRow, StudyColumn]
 
 
 def titled(rows: Sequence[StudyRow], facts: StudyFacts) -> tuple[list[StudyRow], StudyFacts]:
@@ -200,9 +200,9 @@ def _compared(change: _Change) -> str:
     return f"{names} in {ESTIMATES[column.estimator].noun}"
 
 
-def _estimates_of(rows: Sequence[StudyRow], metric: str) -> list[Estimate]:
+def _estimates_of(rows: Sequence[StudyRow], metric: str) -> list[SeriesEstimate]:
     """All known estimates of a metric."""
-    estimates = [Column("", metric, estimator).of(row) for row in rows for estimator in _PRIORITY]
+    estimates = [StudyColumn("", metric, estimator).of(row) for row in rows for estimator in _PRIORITY]
     return [each for each in estimates if not math.isnan(each.trial_mean)]
 
 
@@ -212,11 +212,11 @@ def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | N
     for label, (owner, estimator, metric) in comparisons.clearest:
         row = by_label.get(label)
         if row is not None and owner == row.ego and estimator in _PRIORITY and metric in _CHANGES:
-            change = row, Column("", metric, estimator)
+            change = row, StudyColumn("", metric, estimator)
             if metric in _COUNTED or abs(change[1].of(row).trial_mean) >= _LEAST:
                 return change
     for estimator in _PRIORITY:
-        columns = [Column("", metric, estimator) for metric in _COUNTED]
+        columns = [StudyColumn("", metric, estimator) for metric in _COUNTED]
         same = [(row, column) for row in rows for column in columns if column.of(row).certain]
         if same:
             return max(same, key=lambda change: abs(change[1].of(change[0]).trial_mean))
@@ -229,7 +229,7 @@ def _largest(rows: Sequence[StudyRow], metrics: Sequence[str], comparisons: Comp
     comparisons: if given, only significant changes; else all but those that are 0 in every trial
     """
     for estimator in _PRIORITY:
-        changes = [(row, Column("", metric, estimator)) for row in rows for metric in metrics]
+        changes = [(row, StudyColumn("", metric, estimator)) for row in rows for metric in metrics]
         known = [(row, column) for row, column in changes if not math.isnan(column.of(row).trial_mean)]
         if comparisons:
             known = [each for each in known if comparisons.remains(*each) or each[1].of(each[0]).certain]
@@ -269,7 +269,7 @@ def comparisons_made(comparisons: Comparisons) -> str:
     )
 
 
-def is_of_user(row: StudyRow, series: Series) -> bool:
+def is_of_user(row: StudyRow, series: StudySeries) -> bool:
     """Whether a series is a user's metric of one of the ego's main estimates."""
     metric, ego = series.metric, series.owner == row.ego and series.estimator in ESTIMATORS
     return ego and metric.isidentifier() and metric not in COLUMNS and not metric.endswith(("_iob", "_ioe"))

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from mast_zenoh.metrics import CAUSES
 from mast_zenoh.metrics.measures import COLUMNS
-from mast_zenoh.metrics.study_results import Estimate, Series, StudyFacts, StudyRow, shares
+from mast_zenoh.metrics.study_results import SeriesEstimate, StudyFacts, StudyRow, StudySeries, shares
 from mast_zenoh.report.narrative.study import (
     Comparisons,
     compare,
@@ -30,8 +30,8 @@ from mast_zenoh.report.tables.study_rows import (
     MOSTLY_ZERO,
     PAPER,
     SCORES,
-    Column,
     Groups,
+    StudyColumn,
     attacks_differ,
     bounds,
     columns_of,
@@ -76,7 +76,7 @@ def _paper(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> Te
         "mean over seeds of these scenes, each trial paired with its baseline, after that mean where it differs."
     )
 
-    def cell(row: StudyRow, column: Column) -> str:
+    def cell(row: StudyRow, column: StudyColumn) -> str:
         estimate = column.of(row)
         same = number(estimate.trial_mean) in (number(estimate.mean), DASH)
         below = bounds(estimate) if same else over_trials(estimate)
@@ -118,7 +118,7 @@ def _to_other_scenes(title: str, rows: Sequence[StudyRow]) -> list[TextTable]:
     ]
 
 
-def _scores(rows: Sequence[StudyRow], group: tuple[str, tuple[Column, ...]]) -> TextTable:
+def _scores(rows: Sequence[StudyRow], group: tuple[str, tuple[StudyColumn, ...]]) -> TextTable:
     caption = "FN, FP, TP: objects per frame missed, false and matched. Mean and 95 % interval over seeds."
     title = f"Scores: {group[0]}"
     return _table(title, caption, (group,), rows, lambda row, column: _over_trials(column.of(row)), brief=True)
@@ -173,8 +173,8 @@ def _others(rows: Sequence[StudyRow]) -> TextTable:
         if each.owner == rows[0].ego and (each.estimator, each.metric) not in table_series and " " not in each.metric
     ]
 
-    def cells(each: Series) -> list[str]:
-        return [_over_trials(row.estimates.get(each, Estimate())) for row in rows]
+    def cells(each: StudySeries) -> list[str]:
+        return [_over_trials(row.estimates.get(each, SeriesEstimate())) for row in rows]
 
     lines = [
         [f"{each.estimator} {each.metric}", *cells(each)]
@@ -205,7 +205,7 @@ def _causes(rows: Sequence[StudyRow], estimator: str, outcome: str) -> TextTable
     return TextTable(title, "", ["", *causes], lines, 1, terminal=estimator == "picture")
 
 
-def _over_trials(estimate: Estimate, *, marked: bool = False) -> str:
+def _over_trials(estimate: SeriesEstimate, *, marked: bool = False) -> str:
     return _cell(value(estimate), bounds(estimate), marked=marked)
 
 
@@ -219,7 +219,7 @@ def _table(
     caption: str,
     groups: Groups,
     rows: Iterable[StudyRow],
-    cell: Callable[[StudyRow, Column], str],
+    cell: Callable[[StudyRow, StudyColumn], str],
     *,
     terminal: bool = True,
     brief: bool = False,
@@ -356,8 +356,8 @@ def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
 def _tabular(
     headings: Sequence[str],
     rows: Sequence[StudyRow],
-    columns: Sequence[Column],
-    mark: Callable[[StudyRow, Column], str],
+    columns: Sequence[StudyColumn],
+    mark: Callable[[StudyRow, StudyColumn], str],
 ) -> list[str]:
     """The lines of a tabular with two lines for each row: over frames, and over trials."""
     lines = [r"\begin{tabular}{l" + "r" * len(columns) + "}", r"\toprule", *headings, r"\midrule"]
@@ -369,7 +369,7 @@ def _tabular(
     return [*lines, r"\bottomrule", r"\end{tabular}"]
 
 
-def _of_users(rows: Sequence[StudyRow], scores: Sequence[Column]) -> list[Column]:
+def _of_users(rows: Sequence[StudyRow], scores: Sequence[StudyColumn]) -> list[StudyColumn]:
     """Columns of the metrics of an estimate that are not among its scores: the user's own."""
     known, estimator = {column.metric for column in scores} | set(COLUMNS), scores[0].estimator
     names = [
@@ -379,7 +379,7 @@ def _of_users(rows: Sequence[StudyRow], scores: Sequence[Column]) -> list[Column
         if (series.owner, series.estimator) == (row.ego, estimator) and series.metric.isidentifier() and not each.rate
     ]
     own = [name for name in dict.fromkeys(names) if name not in known and not name.endswith("_iob")]
-    return [Column(name, name, estimator) for name in own]
+    return [StudyColumn(name, name, estimator) for name in own]
 
 
 def _short(heading: str) -> str:

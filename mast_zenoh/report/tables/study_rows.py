@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from mast_zenoh.metrics.estimates import ESTIMATES, MAIN
 from mast_zenoh.metrics.measures import MEASURES
-from mast_zenoh.metrics.study_results import MIN_SEEDS, Estimate, StudyRow
+from mast_zenoh.metrics.study_results import MIN_SEEDS, SeriesEstimate, StudyRow
 from mast_zenoh.report.tables.text_table import DASH, number, whole_percent
 
 #: The warning of a table with such an increment.
@@ -18,7 +18,7 @@ MOSTLY_ZERO = (
 )
 
 
-class Column(NamedTuple):
+class StudyColumn(NamedTuple):
     """One column of a table: heading and series; owner: None for the ego."""
 
     heading: str
@@ -26,13 +26,13 @@ class Column(NamedTuple):
     estimator: str = "picture"
     owner: str | None = None
 
-    def of(self, row: StudyRow) -> Estimate:
+    def of(self, row: StudyRow) -> SeriesEstimate:
         """The estimate that belongs in this column of a row."""
         return row.get(self.metric, self.estimator, self.owner)
 
 
 #: Columns in groups with a name.
-Groups = tuple[tuple[str, tuple[Column, ...]], ...]
+Groups = tuple[tuple[str, tuple[StudyColumn, ...]], ...]
 
 #: The estimates of the ego that tables compare, and their names.
 ESTIMATORS = {name: ESTIMATES[name].subject.removeprefix("the ") for name in MAIN}
@@ -42,8 +42,8 @@ _DISTANCES = ("ospa_m", "gospa_m", "completeness")
 _BOXES = ("length_error_m", "width_error_m", "heading_error_deg", "velocity_error_mps")
 
 
-def _of(estimator: str, metrics: Iterable[str], suffix: str = "") -> tuple[Column, ...]:
-    return tuple(Column(MEASURES[metric].short, metric + suffix, estimator) for metric in metrics)
+def _of(estimator: str, metrics: Iterable[str], suffix: str = "") -> tuple[StudyColumn, ...]:
+    return tuple(StudyColumn(MEASURES[metric].short, metric + suffix, estimator) for metric in metrics)
 
 
 #: The scores of each estimate, and their increments over the baseline.
@@ -58,20 +58,20 @@ PAPER: Groups = (
     (
         "compromised agents",
         (
-            Column("CAFN IoB", "cafn_iob", "local", "compromised"),
-            Column("CAFP IoB", "cafp_iob", "local", "compromised"),
+            StudyColumn("CAFN IoB", "cafn_iob", "local", "compromised"),
+            StudyColumn("CAFP IoB", "cafp_iob", "local", "compromised"),
         ),
     ),
     (
         "compromised agents, by the centre",
         (
-            Column("CAFN centre", "cafn_iob", "picture", "compromised"),
-            Column("CAFP centre", "cafp_iob", "picture", "compromised"),
+            StudyColumn("CAFN centre", "cafn_iob", "picture", "compromised"),
+            StudyColumn("CAFP centre", "cafp_iob", "picture", "compromised"),
         ),
     ),
-    ("ERCC FN", (Column("FN IoB", "fn_iob"), Column("FN IoE", "fn_ioe"))),
-    ("ERCC FP", (Column("FP IoB", "fp_iob"), Column("FP IoE", "fp_ioe"))),
-    ("ERCC TP", (Column("TP IoB", "tp_iob"), Column("TP IoE", "tp_ioe"))),
+    ("ERCC FN", (StudyColumn("FN IoB", "fn_iob"), StudyColumn("FN IoE", "fn_ioe"))),
+    ("ERCC FP", (StudyColumn("FP IoB", "fp_iob"), StudyColumn("FP IoE", "fp_ioe"))),
+    ("ERCC TP", (StudyColumn("TP IoB", "tp_iob"), StudyColumn("TP IoE", "tp_ioe"))),
 )
 
 
@@ -80,7 +80,7 @@ DEFENCE: Groups = (
     (
         "defence",
         tuple(
-            Column(heading, metric, "defence", "all")
+            StudyColumn(heading, metric, "defence", "all")
             for heading, metric in (
                 ("lying agents", "lying_agents"),
                 ("of these suspended", "lying_suspended"),
@@ -100,7 +100,7 @@ COOPERATION: Groups = (
     (
         "pictures of the agents",
         tuple(
-            Column(heading, metric, "pictures", "all")
+            StudyColumn(heading, metric, "pictures", "all")
             for heading, metric in (
                 ("GOSPA between two m", "difference_gospa_m"),
                 ("deceived at a time", "deceived.share"),
@@ -111,7 +111,7 @@ COOPERATION: Groups = (
     (
         "radio channel",
         tuple(
-            Column(heading, metric, "channel", "all")
+            StudyColumn(heading, metric, "channel", "all")
             for heading, metric in (
                 ("busy", "busy_ratio"),
                 ("frames a station sent in", "sent"),
@@ -133,12 +133,12 @@ def attacks_differ(rows: Iterable[StudyRow], baseline: str) -> bool:
     return not has_attack.pop(baseline, False) and bool(has_attack) and all(has_attack.values())
 
 
-def columns_of(groups: Groups) -> list[Column]:
+def columns_of(groups: Groups) -> list[StudyColumn]:
     """All columns of the groups, one after the other."""
     return [column for _, columns in groups for column in columns]
 
 
-def unchanged(rows: Iterable[StudyRow], columns: Sequence[Column]) -> bool:
+def unchanged(rows: Iterable[StudyRow], columns: Sequence[StudyColumn]) -> bool:
     """Whether all increments that are known are 0 in every trial."""
     known = [each for row in rows for column in columns if not math.isnan((each := column.of(row)).trial_mean)]
     return bool(known) and all(each.unchanged for each in known)
@@ -153,7 +153,7 @@ def present(rows: Sequence[StudyRow], groups: Groups) -> Groups:
     )
 
 
-def over_frames(estimate: Estimate) -> str:
+def over_frames(estimate: SeriesEstimate) -> str:
     """`3.42 ± 1.20`."""
     if math.isnan(estimate.mean):
         return DASH
@@ -161,7 +161,7 @@ def over_frames(estimate: Estimate) -> str:
     return mean if math.isnan(estimate.std) else f"{mean} ± {number(estimate.std)}"
 
 
-def over_trials(estimate: Estimate) -> str:
+def over_trials(estimate: SeriesEstimate) -> str:
     """Mean and interval: `3.42 [3.10, 3.80]`, or the reason for none: `3.42 (n < 5)`.
 
     Success rates are in per cent.
@@ -169,13 +169,13 @@ def over_trials(estimate: Estimate) -> str:
     return f"{value(estimate)} {bounds(estimate)}".strip()
 
 
-def value(estimate: Estimate) -> str:
+def value(estimate: SeriesEstimate) -> str:
     """The mean over trials alone: `3.42`, a success rate as `85 %`."""
     mean = estimate.trial_mean
     return f"{whole_percent(mean)} %" if estimate.rate and not math.isnan(mean) else number(mean, _digits(estimate))
 
 
-def bounds(estimate: Estimate, *, scenes: bool = False) -> str:
+def bounds(estimate: SeriesEstimate, *, scenes: bool = False) -> str:
     """`[3.10, 3.80]`, or why there is no interval; scenes: that to other scenes."""
     low, high = (estimate.scenes_low, estimate.scenes_high) if scenes else (estimate.low, estimate.high)
     if not math.isnan(low):
@@ -190,7 +190,7 @@ def bounds(estimate: Estimate, *, scenes: bool = False) -> str:
     return f"(n < {MIN_SEEDS})" if estimate.seeds < MIN_SEEDS else "(all equal)"
 
 
-def _digits(estimate: Estimate) -> int:
+def _digits(estimate: SeriesEstimate) -> int:
     """Decimals that show the width of the interval: two, more where it would vanish."""
     half = (estimate.high - estimate.low) / 2.0
     return 2 if math.isnan(half) or half >= 0.01 else min(5, math.ceil(-math.log10(half)))

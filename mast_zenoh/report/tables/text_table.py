@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from mast_zenoh.metrics.study_results import MIN_SEEDS, MOSTLY_ZERO, Measured, Row
+from mast_zenoh.metrics.study_results import MIN_SEEDS, MOSTLY_ZERO, Row, Statistic
 
 #: Placeholder for an unknown number.
 DASH = "\u2013"
@@ -257,7 +257,7 @@ def whole_percent(share: float) -> str:
     return DASH if math.isnan(share) else number(math.floor(100.0 * share + 0.5), 0)
 
 
-def whole(each: Measured) -> str:
+def whole(each: Statistic) -> str:
     """A number that is whole."""
     return number(each.value, 0)
 
@@ -267,7 +267,7 @@ def digits(*values: float) -> list[str]:
     return ["" if math.isnan(value) else repr(float(value)) for value in values]
 
 
-def measured(each: Measured, decimals: int = 2) -> str:
+def measured(each: Statistic, decimals: int = 2) -> str:
     """A number with its interval, `3.42 [3.10, 3.80]`; else `3.42 (all equal)`, `(mostly 0)`; `3.42` of few trials.
 
     Infinite: `not reached [1.20, \u221e)`, or `not reached` if the interval is beyond what was watched, too.
@@ -287,17 +287,17 @@ def measured(each: Measured, decimals: int = 2) -> str:
     return f"{number(each.value, decimals)} {interval}"
 
 
-def median_delay(each: Measured) -> str:
+def median_delay(each: Statistic) -> str:
     """A median delay; if fewer than half were detected, only its lower bound is known."""
     return _not_reached(each) if math.isnan(each.value) and each.trials else measured(each)
 
 
-def bounds(each: Measured) -> list[str]:
+def bounds(each: Statistic) -> list[str]:
     """A number in a CSV file: value, low, high, how these were computed, trials, trials left out."""
     return [*digits(*each[:3]), each.interval, str(each.trials), str(each.left_out)]
 
 
-def shown(measure: str, show: Callable[[Measured], str] = measured) -> Callable[[Row], str]:
+def shown(measure: str, show: Callable[[Statistic], str] = measured) -> Callable[[Row], str]:
     """The text of a measure of a row."""
     return lambda row: show(row[measure])
 
@@ -349,7 +349,7 @@ BOUNDS = ("value", "low", "high", "interval", "trials", "trials_left_out")
 FEW_TRIALS = f"Numbers without brackets are of fewer than {MIN_SEEDS} trials, so without an interval."
 
 
-def percent(share: Measured, unit: str = "", beyond: str = "") -> str:
+def percent(share: Statistic, unit: str = "", beyond: str = "") -> str:
     """`44 [38, 47]`, in per cent; unit: after the value;  beyond: what stands for an infinite number."""
     if not share.known:
         return DASH
@@ -357,7 +357,7 @@ def percent(share: Measured, unit: str = "", beyond: str = "") -> str:
     return f"{value}{unit}" if math.isnan(share.low) else f"{value}{unit} [{low}, {high}]"
 
 
-def _not_reached(each: Measured) -> str:
+def _not_reached(each: Statistic) -> str:
     return f"{_NOT_REACHED} [{number(each.low)}, \u221e)" if math.isfinite(each.low) else _NOT_REACHED
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.metrics import Table
-from mast_zenoh.metrics.study_results import Measured, Row
+from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.report.tables.text_table import (
     ResultTables,
     number,
@@ -28,7 +28,7 @@ from mast_zenoh.study.defences.choices import honest_majority
 from mast_zenoh.study.defences.intervals import pooled, share_of_trials
 from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.numbers import ego, scored_frames
-from mast_zenoh.study.trial import Outcome
+from mast_zenoh.study.trial import TrialOutcome
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
@@ -58,7 +58,7 @@ def suspended_before_liars(
     )
 
 
-def measures_of_breaking(outcome: Outcome, attack_start_s: float) -> dict[str, Any]:
+def measures_of_breaking(outcome: TrialOutcome, attack_start_s: float) -> dict[str, Any]:
     """Of a trial with the part `defence` of `Breakdown.evaluate`:
 
     worse:    whether the picture has more missed and false objects than the ego alone, in all frames from the start
@@ -113,7 +113,7 @@ class Breakdown(Kind):
             "frames_s": np.round(times_s, 9).tolist(),
         }
 
-    def measures(self, factors: Factors, outcome: Outcome) -> dict[str, Any]:
+    def measures(self, factors: Factors, outcome: TrialOutcome) -> dict[str, Any]:
         """Those of `measures_of_breaking`, and the share of the honest agents that are suspended at any time."""
         result = measures_of_breaking(outcome, factors["attack_start_s"])
         honest = factors["agents"] - len(outcome.metrics["defence"]["compromised"])
@@ -181,7 +181,7 @@ def _row(of: dict[str, Any], values: Mapping[str, Floats]) -> Row:
     known = {name: each[~np.isnan(each)] for name, each in values.items()}
     trials = len(known["worse"])
     numbers = {name: share_of_trials(known[name].sum(), trials) for name in _SHARES}
-    return Row(of, trials, numbers | {name: Measured(_mean(known[name]), trials=trials) for name in _MEANS})
+    return Row(of, trials, numbers | {name: Statistic(_mean(known[name]), trials=trials) for name in _MEANS})
 
 
 def _point(of: dict[str, Any], shares: Mapping[float, Mapping[str, Floats]]) -> Row:
@@ -269,7 +269,7 @@ _COLUMNS = {
 }
 
 
-def _whole(each: Measured) -> str:
+def _whole(each: Statistic) -> str:
     return number(100.0 * each.value, 0)
 
 

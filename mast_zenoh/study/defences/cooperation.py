@@ -16,7 +16,7 @@ from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.metrics.causes import ATTACK_CAUSES
 from mast_zenoh.metrics.estimates import LOCAL, PICTURE
 from mast_zenoh.metrics.significance import clearest
-from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Measured, Row
+from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Row, Statistic
 from mast_zenoh.report.tables.text_table import (
     DASH,
     FEW_TRIALS,
@@ -32,7 +32,7 @@ from mast_zenoh.report.tables.text_table import (
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.numbers import ego, scored_frames
-from mast_zenoh.study.trial import Outcome
+from mast_zenoh.study.trial import TrialOutcome
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
@@ -94,7 +94,7 @@ class Cooperation(Kind):
             "penetration": round(sensing / vehicles, 6),
         }
 
-    def measures(self, factors: Factors, outcome: Outcome) -> dict[str, Any]:
+    def measures(self, factors: Factors, outcome: TrialOutcome) -> dict[str, Any]:
         """What the table needs of one trial; NaN: it has none.
 
         From the start of the attack on:
@@ -192,11 +192,11 @@ class Cooperation(Kind):
 # -- what readers see --------------------------------------------------------------------------------------------------
 
 
-def _share(each: Measured) -> str:
+def _share(each: Statistic) -> str:
     return whole_percent(each.value) if each.known else DASH
 
 
-def _traffic(each: Measured) -> str:
+def _traffic(each: Statistic) -> str:
     return number(each.value, 1)
 
 

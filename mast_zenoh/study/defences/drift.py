@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Measured, Row
+from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Row, Statistic
 from mast_zenoh.report.tables.text_table import (
     FEW_TRIALS,
     ResultTables,
@@ -41,7 +41,7 @@ from mast_zenoh.report.tables.text_table import (
 )
 from mast_zenoh.study.defences.intervals import kaplan_meier, pooled, share_of_trials
 from mast_zenoh.study.defences.kinds import Factors, Kind
-from mast_zenoh.study.trial import Outcome
+from mast_zenoh.study.trial import TrialOutcome
 
 if TYPE_CHECKING:
     from mast_zenoh.runs.run import Run
@@ -174,7 +174,7 @@ class Drift(Kind):
             },
         }
 
-    def measures(self, factors: Factors, outcome: Outcome) -> dict[str, Any]:
+    def measures(self, factors: Factors, outcome: TrialOutcome) -> dict[str, Any]:
         """The part `defence` of its metrics."""
         return dict(outcome.metrics["defence"])
 
@@ -232,7 +232,7 @@ def one_witness_floor_s(factors: Mapping[str, Any]) -> float:
 
 def _whole_runs(factors: Factors, trials: Sequence[Mapping[str, Any]]) -> Row:
     delays = [delay for each in trials if (delay := whole_delay(each)) is not None]
-    numbers = dict.fromkeys((*_COUNTS, *_PLAIN, *_MEASURED), Measured()) | {
+    numbers = dict.fromkeys((*_COUNTS, *_PLAIN, *_MEASURED), Statistic()) | {
         "episodes": _count(len(delays)),
         "detected": _count(sum(detected for _, detected in delays)),
         "judged": _count(len(delays)),
@@ -250,8 +250,8 @@ def _of(factors: Factors, viewers: str) -> dict[str, Any]:
     return {"label": label, "offset_m": offset_m, "rate_mps": rate_mps, "viewers": viewers}
 
 
-def _count(number_of: int) -> Measured:
-    return Measured(float(number_of))
+def _count(number_of: int) -> Statistic:
+    return Statistic(float(number_of))
 
 
 def _row(factors: Factors, viewers: ViewerRange, by_trial: Sequence[Sequence[Episode]]) -> Row:
@@ -276,18 +276,18 @@ def _row(factors: Factors, viewers: ViewerRange, by_trial: Sequence[Sequence[Epi
         "episodes": _count(len(every)),
         "detected": _count(sum(episode.detected for episode in every)),
         "judged": _count(len(judged)),
-        "floor_s": Measured(floor_s),
-        "floor_m": Measured(floor_s * rate_mps if drifting else NAN),
+        "floor_s": Statistic(floor_s),
+        "floor_m": Statistic(floor_s * rate_mps if drifting else NAN),
         "delay_s": _bootstrap(trials, median(lambda e: e.watched_s)),
         "ratio": _bootstrap(trials, median(lambda e: e.watched_s * e.speed_up / single_s)),
-        "offset_reached_m": _bootstrap(trials, median(lambda e: e.offset_m)) if drifting else Measured(),
+        "offset_reached_m": _bootstrap(trials, median(lambda e: e.offset_m)) if drifting else Statistic(),
         "within": share_of_trials(sum(each.detected_within(LIMIT_S) for each in judged), len(judged)),
         "noticed": _bootstrap(trials, lambda units: _noticed(times(units))),
     }
     return Row(_of(factors, viewers.title), len(trials), numbers)
 
 
-def _bootstrap(trials: Sequence[Any], statistic: Callable[[Any], float]) -> Measured:
+def _bootstrap(trials: Sequence[Any], statistic: Callable[[Any], float]) -> Statistic:
     return pooled(lambda rows: statistic([trials[row] for row in rows.tolist()]), len(trials))
 
 
@@ -405,7 +405,7 @@ _MAJORITY = "Displaced objects in view of two honest agents or more, until the l
 _WITHIN = f"within {LIMIT_S:g} s"
 
 
-def _share(each: Measured) -> str:
+def _share(each: Statistic) -> str:
     return percent(each, " %")
 
 
@@ -414,7 +414,7 @@ def _share_of_judged(row: Row) -> str:
     return _share(within) + (f" of {whole(row['judged'])}" if within.known else "")
 
 
-def _plain(each: Measured) -> str:
+def _plain(each: Statistic) -> str:
     return number(each.value)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.estimates import MISSION
 from mast_zenoh.metrics.significance import clearest
-from mast_zenoh.metrics.study_results import NEGLIGIBLE, Estimate, Measured, Row, plural
+from mast_zenoh.metrics.study_results import NEGLIGIBLE, Row, SeriesEstimate, Statistic, plural
 from mast_zenoh.report.tables.study_rows import over_trials, value
 from mast_zenoh.report.tables.text_table import (
     BOUNDS,
@@ -33,7 +33,7 @@ from mast_zenoh.study import statistics
 from mast_zenoh.study.defences.intervals import share_of_trials
 from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.numbers import own_metrics
-from mast_zenoh.study.trial import Outcome
+from mast_zenoh.study.trial import TrialOutcome
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
@@ -81,7 +81,7 @@ class DrivingRow(Row):
         """The attack and where it is."""
         return f"{self.of['attack']} on {self.of['wire']}" if self.of["attack"] else "no attack"
 
-    def of_kind(self, kind: str) -> dict[str, Estimate]:
+    def of_kind(self, kind: str) -> dict[str, SeriesEstimate]:
         """The numbers of a kind: mean, added or spared, by name; of DRIVING_MEASURES."""
         return {name: self.numbers[f"{kind} {name}"] for name in DRIVING_MEASURES if f"{kind} {name}" in self.numbers}
 
@@ -95,7 +95,7 @@ class DrivingMatrix(Kind):
     name = "driving"
     drawn = ("driving",)
 
-    def measures(self, factors: Factors, outcome: Outcome) -> dict[str, Any]:
+    def measures(self, factors: Factors, outcome: TrialOutcome) -> dict[str, Any]:
         """DRIVING_MEASURES, the user's metrics (`own NAME`), and `flaws`: what did not take part."""
         metrics, car = outcome.metrics, factors["car"]
         driven = metrics["driven"][car]
@@ -143,10 +143,10 @@ class DrivingMatrix(Kind):
             of, len(trials), numbers, flaws, any(each["flaws"] for by_key in compared for each in by_key.values())
         )
 
-    def _affected(self, factors: Factors, other: Factors | None, sign: int) -> Measured:
+    def _affected(self, factors: Factors, other: Factors | None, sign: int) -> Statistic:
         """In how many pairs any measure differs; sign: -1: for the worse alone."""
         if other is None:
-            return Measured(0.0)
+            return Statistic(0.0)
         pairs = {name: self._units(factors, name) - self._units(other, name) for name in DRIVING_MEASURES}
         differs = [
             (sign * DRIVING_MEASURES[name].better * each if sign else np.abs(each)) > NEGLIGIBLE
@@ -215,7 +215,7 @@ def driving_tables(table: Sequence[DrivingRow], size: str) -> ResultTables:
         for name, estimate in row.of_kind(kind).items()
     ]
     numbers += [
-        [*_names(row), kind, name, *_digits(row.numbers.get(f"{kind} {name}", Estimate()), row.trials)]
+        [*_names(row), kind, name, *_digits(row.numbers.get(f"{kind} {name}", SeriesEstimate()), row.trials)]
         for row in table
         for name in _own(row)
         for kind in ("mean", "added")
@@ -235,7 +235,7 @@ def driving_tables(table: Sequence[DrivingRow], size: str) -> ResultTables:
         heads = [heading for name in own for heading in (name, f"{name}, added by the attack")]
         names = [f"{kind} {name}" for name in own for kind in ("mean", "added")]
         lines = [
-            [*_names(row), str(row.trials), *(over_trials(row.numbers.get(name, Estimate())) for name in names)]
+            [*_names(row), str(row.trials), *(over_trials(row.numbers.get(name, SeriesEstimate())) for name in names)]
             for row in table
         ]
         tables.append(TextTable("Your metrics", "Of what the car's agent acts on.", (*row_heads, *heads), lines, 3))
@@ -368,28 +368,28 @@ def _attack_sentence(row: DrivingRow) -> str:
     return f"{defended}, {row.title} does harm in {pairs}, and none in the mean."
 
 
-def _none_of(affected: Measured) -> str:
+def _none_of(affected: Statistic) -> str:
     """`in 5 of 5 pairs; its chance is below 52 % (exact, 95 %)`, for what did not happen."""
     bound = whole_percent(affected.high)
     return f"in {affected.trials} of {plural(affected.trials, 'pair')}; its chance is below {bound} % (exact, 95 %)"
 
 
-def _shown(numbers: Mapping[str, Estimate], sign: int) -> list[str]:
+def _shown(numbers: Mapping[str, SeriesEstimate], sign: int) -> list[str]:
     """The measures that are shown to differ, for the better (1) or for the worse (-1), with their intervals."""
     return [_worded(name, each) for name, each in numbers.items() if each.differs and sign * _harm(name, each) < 0.0]
 
 
-def _not_shown(numbers: Mapping[str, Estimate]) -> list[str]:
+def _not_shown(numbers: Mapping[str, SeriesEstimate]) -> list[str]:
     """The measures that are worse in the mean, although too few trials show it."""
     return [_worded(name, each) for name, each in numbers.items() if _harm(name, each) > 0.0 and not each.differs]
 
 
-def _harm(name: str, each: Estimate) -> float:
+def _harm(name: str, each: SeriesEstimate) -> float:
     """The mean, positive where it is worse for the car."""
     return -each.trial_mean * DRIVING_MEASURES[name].better
 
 
-def _worded(name: str, each: Estimate) -> str:
+def _worded(name: str, each: SeriesEstimate) -> str:
     """`3.03 [2.51, 3.56] needless brakes`, or `0.27 collisions (0 in 73 % [54, 88] of the pairs)`."""
     heading = DRIVING_MEASURES[name].heading
     if not each.mostly_zero:
@@ -402,11 +402,11 @@ def _names(row: DrivingRow) -> tuple[str, str, str]:
     return row.of["attack"] or _NONE, row.of["wire"] or DASH, row.of["defence"] or _NONE
 
 
-def _line(row: DrivingRow, estimates: Mapping[str, Estimate]) -> list[str]:
+def _line(row: DrivingRow, estimates: Mapping[str, SeriesEstimate]) -> list[str]:
     return [*_names(row), str(row.trials), *(over_trials(estimates[name]) for name in DRIVING_MEASURES)]
 
 
-def _digits(each: Estimate, done: int) -> list[str]:
+def _digits(each: SeriesEstimate, done: int) -> list[str]:
     """BOUNDS of an estimate, and its share of zeros. done: number of trials"""
     trials = each.scenes * each.seeds
     interval = "" if math.isnan(each.low) else "Student's t"

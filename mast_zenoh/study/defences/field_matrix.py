@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.metrics.study_results import Measured, Row
+from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.report.tables.text_table import ResultTables
 from mast_zenoh.study.defences import breakdown, intervals, matrix
 from mast_zenoh.study.defences.breakdown import HALF, mean_crossing, measures_of_breaking, suspended_before_liars
@@ -20,7 +20,7 @@ from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import alone, is_fault, lies, undefended
 from mast_zenoh.study.defences.published import BY_SUSPENSION, PUBLISHED, Published, PublishedNumber
 from mast_zenoh.study.defences.scoreboard import FieldTable, scoreboard_tables
-from mast_zenoh.study.trial import Outcome, TrialKey
+from mast_zenoh.study.trial import TrialKey, TrialOutcome
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
@@ -58,7 +58,7 @@ class FieldMatrix(matrix.DefenceMatrix):
         own = matrix.DefenceMatrix.evaluate(run, compromised)
         return breakdown.Breakdown.evaluate(run, compromised) | own
 
-    def measures(self, factors: Factors, outcome: Outcome) -> dict[str, Any]:
+    def measures(self, factors: Factors, outcome: TrialOutcome) -> dict[str, Any]:
         """Those of the matrix and of `measures_of_breaking`; and ms of processor time per frame, NaN: not known."""
         self._agents[outcome.trial.scene] = len(outcome.metrics["agents"])
         cpu_ms = 1e3 * outcome.cpu_s / outcome.metrics["frames"] if outcome.cpu_s > 0.0 else math.nan
@@ -111,7 +111,7 @@ class FieldMatrix(matrix.DefenceMatrix):
             "damage": damage,
             "by_attack": by_attack,
             "harm": harm,
-            "attacked": matrix.attacked_share(groups) if lies(factors) else Measured(),
+            "attacked": matrix.attacked_share(groups) if lies(factors) else Statistic(),
             "honest_suspended": matrix.shares_of_runs(groups)["honest_suspended"],
             "cpu_ms": intervals.mean(cpu_ms, scenes=scenes),
             "cpu_ratio": ratio(cpu_ms, self._in_scene(self._processor(undefended(factors)), scene), scenes=scenes),
@@ -156,7 +156,7 @@ class FieldMatrix(matrix.DefenceMatrix):
         weakest = min(reached, key=lambda attack: (reached[attack], -most_broken[attack]), default="")
         point = intervals.pooled(lambda rows: _crossing(counts, every[rows]), len(keys))
         if _is_single(counts):
-            point = Measured(point.value, trials=point.trials)
+            point = Statistic(point.value, trials=point.trials)
         scenes = 1 if scene else len(self.scenes)
         sizes = {self._agents[key.scene] for key in keys if key.scene in self._agents}
         agents = sizes.pop() if len(sizes) == 1 else 0
@@ -164,7 +164,7 @@ class FieldMatrix(matrix.DefenceMatrix):
             f"broken {count}": intervals.mean(every[:, index], (0.0, 1.0), scenes=scenes)
             for index, count in enumerate(counts)
         }
-        numbers |= {"breaks_at": point, "weakest_at": Measured(reached.get(weakest, math.inf))}
+        numbers |= {"breaks_at": point, "weakest_at": Statistic(reached.get(weakest, math.inf))}
         of = {"scene": scene_title(scene), "defence": defence, "agents": agents, "weakest": weakest}
         return Row(of, len(keys), numbers)
 
@@ -196,7 +196,7 @@ class FieldMatrix(matrix.DefenceMatrix):
         }
         return Row({"defence": defence}, len(self.order), numbers)
 
-    def _harm_removed(self, cells: Sequence[Factors]) -> Measured:
+    def _harm_removed(self, cells: Sequence[Factors]) -> Statistic:
         """1 minus what the attacks of all cells add with the defence over what they add without it.
 
         Each is relative to the same run without the attack, so that neither the cost of a defence nor what it removes
@@ -230,11 +230,11 @@ class FieldMatrix(matrix.DefenceMatrix):
         groups, suspending = self._by_trial(cells), self.suspends(defence)
         detects = suspending or not {each["attack"] for each in cells} <= BY_SUSPENSION
         honest = matrix.state_shares(groups).get("honest", {})
-        computed: dict[str, Callable[[], Measured]] = {
-            "lies_detected": lambda: matrix.lies_detected(groups) if detects else Measured(),
+        computed: dict[str, Callable[[], Statistic]] = {
+            "lies_detected": lambda: matrix.lies_detected(groups) if detects else Statistic(),
             "harm_removed": lambda: self._harm_removed(cells),
-            "honest_suspended_time": lambda: honest.get("suspended", Measured()),
-            "median_delay_s": lambda: matrix.median_delay(groups) if suspending else Measured(),
+            "honest_suspended_time": lambda: honest.get("suspended", Statistic()),
+            "median_delay_s": lambda: matrix.median_delay(groups) if suspending else Statistic(),
             "targets_suspended": lambda: _liars_suspended(groups),
             "fn_added_alone": lambda: self.mean(self.added(alone(cells[0]), "fn"), paired=True),
             "fp_added": lambda: self._mean_of(cells, lambda each: self.added(each, "fp")),
@@ -246,11 +246,11 @@ class FieldMatrix(matrix.DefenceMatrix):
         }
         return PublishedNumber(quantity, defence, attacks, computed[quantity]())
 
-    def _mean_of(self, cells: Sequence[Factors], values: Callable[[Factors], Floats]) -> Measured:
+    def _mean_of(self, cells: Sequence[Factors], values: Callable[[Factors], Floats]) -> Statistic:
         """The mean over trials of the mean over cells."""
         return self.mean(_mean_known(np.stack([values(each) for each in cells])), paired=True)
 
-    def _growth(self, cells: Sequence[Factors]) -> Measured:
+    def _growth(self, cells: Sequence[Factors]) -> Statistic:
         """Processor time relative to the other attacks on the same defence, by as many adversaries of one placement."""
         parts = []
         for each in cells:
@@ -263,10 +263,10 @@ class FieldMatrix(matrix.DefenceMatrix):
             if others:
                 parts.append((self._processor(each), _mean_known(np.stack(others))))
         stacks = [np.stack(part) for part in zip(*parts, strict=True)]
-        return ratio(*stacks, scenes=len(self.scenes)) if parts else Measured()
+        return ratio(*stacks, scenes=len(self.scenes)) if parts else Statistic()
 
 
-def ratio(values: Floats, references: Floats, *, scenes: int = 1) -> Measured:
+def ratio(values: Floats, references: Floats, *, scenes: int = 1) -> Statistic:
     """The geometric mean of paired ratios over trials.
 
     values, references: (trials,) or (cells, trials), positive; NaN where one has none
@@ -278,7 +278,7 @@ def ratio(values: Floats, references: Floats, *, scenes: int = 1) -> Measured:
     return measured._replace(value=value, low=low, high=high)
 
 
-def _liars_suspended(groups: matrix.Groups) -> Measured:
+def _liars_suspended(groups: matrix.Groups) -> Statistic:
     """The share of agents with an observable lie that were suspended, of those that were judged."""
     delays = [[suspended for each in group for _, suspended in each["delays"]] for group in groups]
     return intervals.share([sum(each) for each in delays], [len(each) for each in delays])

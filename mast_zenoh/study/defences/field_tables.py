@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
-from mast_zenoh.metrics.study_results import Measured, Row
+from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.report.tables.text_table import (
     BOUNDS,
     DASH,
@@ -143,7 +143,7 @@ def _breakdown(table: FieldTable) -> TextTable:
     lines = [
         [
             *(each.of["defence"], each.of["scene"] or ALL_SCENES, str(each.of["agents"] or DASH)),
-            *(percent(each.numbers.get(f"broken {count}", Measured())) for count in counts),
+            *(percent(each.numbers.get(f"broken {count}", Statistic())) for count in counts),
             *(_breaks_at(each), _share_of_liars(each), _weakest(each)),
         ]
         for each in table.breakdowns

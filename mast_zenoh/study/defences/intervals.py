@@ -24,7 +24,7 @@ from mast_zenoh.metrics.study_results import (
     NAN,
     POISSON,
     STUDENT,
-    Measured,
+    Statistic,
     Survival,
 )
 from mast_zenoh.study import statistics
@@ -43,7 +43,7 @@ _TAILS = (0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0)
 
 def mean(
     values: ArrayLike, bounds: tuple[float, float] = (-np.inf, np.inf), *, scenes: int = 1, paired: bool = False
-) -> Measured:
+) -> Statistic:
     """The mean of a value of each trial, with the interval of all studies (`statistics.trial_estimate`).
 
     values: (n,) scene by scene, NaN where a trial has none: its seed is left out
@@ -54,13 +54,13 @@ def mean(
     every = every.T if every.shape[1] < MIN_TRIALS <= scenes else every
     each = statistics.trial_estimate(every, bounds, paired=paired)
     trials = each.scenes * each.seeds
-    measured = Measured(each.trial_mean, each.low, each.high, trials, every.size - trials, p=each.p)
+    measured = Statistic(each.trial_mean, each.low, each.high, trials, every.size - trials, p=each.p)
     if each.mostly_zero and not each.is_zero:
         return measured._replace(interval=MOSTLY_ZERO)
     return _at_limit(measured, trials, bounds) if np.isnan(each.low) else measured._replace(interval=STUDENT)
 
 
-def share(part: ArrayLike, whole: ArrayLike) -> Measured:
+def share(part: ArrayLike, whole: ArrayLike) -> Statistic:
     """The sum of a part over all trials, relative to the sum of the whole.
 
     part, whole: (n,) of each trial, not negative; NaN where a trial has none: it is left out. NaN if the whole is 0.
@@ -70,21 +70,21 @@ def share(part: ArrayLike, whole: ArrayLike) -> Measured:
     left_out = int((~known).sum())
     parts, wholes = parts[known], wholes[known]
     if not wholes.sum():
-        return Measured(left_out=left_out)
+        return Statistic(left_out=left_out)
     value = float(parts.sum() / wholes.sum())
     some = wholes > 0.0
     if not parts[~some].any() and np.ptp(parts[some] / wholes[some]) <= _EQUAL:
-        return _at_limit(Measured(value, trials=len(parts), left_out=left_out), int(some.sum()), (0.0, 1.0))
+        return _at_limit(Statistic(value, trials=len(parts), left_out=left_out), int(some.sum()), (0.0, 1.0))
     interval = bootstrap(lambda rows: _ratio(parts[rows].sum(axis=-1), wholes[rows].sum(axis=-1)), len(parts))
-    return _with_bootstrap(Measured(value, *interval, len(parts), left_out))
+    return _with_bootstrap(Statistic(value, *interval, len(parts), left_out))
 
 
-def one_minus(measured: Measured) -> Measured:
+def one_minus(measured: Statistic) -> Statistic:
     """The complement of a share."""
     return measured._replace(value=1.0 - measured.value, low=1.0 - measured.high, high=1.0 - measured.low)
 
 
-def pooled(statistic: Callable[[Ints], float], trials: int) -> Measured:
+def pooled(statistic: Callable[[Ints], float], trials: int) -> Statistic:
     """A statistic of the data of all trials together, such as a median delay or an area.
 
     statistic: of the indices of trials, each as often as it is drawn; draws for which it is NaN are left out, and for
@@ -92,25 +92,25 @@ def pooled(statistic: Callable[[Ints], float], trials: int) -> Measured:
     """
     value = statistic(np.arange(trials)) if trials else NAN
     if np.isnan(value):
-        return Measured()
+        return Statistic()
     low, high = bootstrap(lambda rows: np.array([statistic(line) for line in rows]), trials)
     if high - low <= _EQUAL and _equal([statistic(np.array([row])) for row in range(trials)]):
         low = high = NAN
-    return _with_bootstrap(Measured(value, low, high, trials))
+    return _with_bootstrap(Statistic(value, low, high, trials))
 
 
-def rate(events: int, hours: float, trials: int) -> Measured:
+def rate(events: int, hours: float, trials: int) -> Statistic:
     """Events per hour; NaN without hours."""
     from scipy import stats  # slow to load
 
     if not hours > 0.0:
-        return Measured()
+        return Statistic()
     low = stats.chi2.ppf(_TAILS[0], 2 * events) / 2.0 if events else 0.0
     high = stats.chi2.ppf(_TAILS[1], 2 * events + 2) / 2.0
-    return Measured(events / hours, float(low / hours), float(high / hours), trials, 0, POISSON)
+    return Statistic(events / hours, float(low / hours), float(high / hours), trials, 0, POISSON)
 
 
-def share_of_runs(outcomes: Sequence[Sequence[bool]]) -> Measured:
+def share_of_runs(outcomes: Sequence[Sequence[bool]]) -> Statistic:
     """The share of runs in which something happened; NaN without runs.
 
     outcomes: of the runs of each trial
@@ -121,16 +121,16 @@ def share_of_runs(outcomes: Sequence[Sequence[bool]]) -> Measured:
     runs = [outcome for trial in outcomes for outcome in trial]
     trials = sum(bool(trial) for trial in outcomes)
     if not runs:
-        return Measured()
+        return Statistic()
     return share_of_trials(sum(runs) / len(runs) * trials, trials)._replace(trials=len(runs))
 
 
-def share_of_trials(happened: float, trials: int) -> Measured:
+def share_of_trials(happened: float, trials: int) -> Statistic:
     """The share of trials in which something happened; NaN without trials."""
     if not trials:
-        return Measured()
+        return Statistic()
     interval = clopper_pearson(happened, trials)
-    return Measured(happened / trials, float(interval.low), float(interval.high), trials, 0, BINOMIAL)
+    return Statistic(happened / trials, float(interval.low), float(interval.high), trials, 0, BINOMIAL)
 
 
 def bootstrap(statistic: Callable[[Ints], Floats], count: int) -> tuple[float, float]:
@@ -160,7 +160,7 @@ def bootstrap(statistic: Callable[[Ints], Floats], count: int) -> tuple[float, f
     return float(low), float(high)
 
 
-def _with_bootstrap(measured: Measured) -> Measured:
+def _with_bootstrap(measured: Statistic) -> Statistic:
     return measured if np.isnan(measured.low) else measured._replace(interval=BOOTSTRAP)
 
 
@@ -171,7 +171,7 @@ def _equal(values: ArrayLike) -> bool:
     return bool(np.ptp(known) <= _EQUAL) if np.isfinite(known).all() and known.size else False
 
 
-def _at_limit(measured: Measured, trials: int, bounds: tuple[float, float]) -> Measured:
+def _at_limit(measured: Statistic, trials: int, bounds: tuple[float, float]) -> Statistic:
     """The mean of equal values: without an interval, except for shares of 0 or 1 in MIN_TRIALS trials or more.
 
     If all trials are at a limit of a share, it is at least as extreme in truth as the exact binomial bound for as many

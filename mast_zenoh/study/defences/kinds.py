@@ -18,10 +18,10 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.config import loading
-from mast_zenoh.metrics.study_results import NAN, Measured, size_of
+from mast_zenoh.metrics.study_results import NAN, Statistic, size_of
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.study.defences import intervals
-from mast_zenoh.study.trial import Outcome, TrialKey
+from mast_zenoh.study.trial import TrialKey, TrialOutcome
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -88,7 +88,7 @@ class Kind(ABC):
         raise NotImplementedError
 
     @abstractmethod
-    def measures(self, factors: Factors, outcome: Outcome) -> dict[str, Any]:
+    def measures(self, factors: Factors, outcome: TrialOutcome) -> dict[str, Any]:
         """What the tables need of one trial, by name; numbers can be NaN."""
 
     @abstractmethod
@@ -107,7 +107,7 @@ class Kind(ABC):
         """The figures of the rows."""
         return {}
 
-    def add(self, outcome: Outcome) -> Mapping[str, Any]:
+    def add(self, outcome: TrialOutcome) -> Mapping[str, Any]:
         """Add a finished trial; returns its measures."""
         factors = self._factors[outcome.trial.configuration]
         measures = self.trials[factors][outcome.trial.key] = self.measures(factors, outcome)
@@ -120,7 +120,7 @@ class Kind(ABC):
 
     def mean(
         self, values: ArrayLike, bounds: tuple[float, float] = (-math.inf, math.inf), *, paired: bool = False
-    ) -> Measured:
+    ) -> Statistic:
         """The mean over the trials planned for a configuration (n,), in the study's order; see `intervals.mean`."""
         return intervals.mean(values, bounds, scenes=len(self.scenes), paired=paired)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.metrics.study_results import AgentTrustSeries, Measured, Row, Survival, TrustPanel
+from mast_zenoh.metrics.study_results import AgentTrustSeries, Row, Statistic, Survival, TrustPanel
 from mast_zenoh.metrics.trust import auc, partial_auc, roc
 from mast_zenoh.report.tables.text_table import ResultTables
 from mast_zenoh.study.defences import intervals
@@ -23,7 +23,7 @@ from mast_zenoh.study.defences.intervals import kaplan_meier
 from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.defences.matrix_tables import DEFENCE_MEASURES, DefenceRoc, MatrixTable, defence_tables
 from mast_zenoh.study.numbers import ego, own_metrics
-from mast_zenoh.study.trial import Outcome, TrialKey
+from mast_zenoh.study.trial import TrialKey, TrialOutcome
 
 if TYPE_CHECKING:
     from mast_zenoh.report.figures.drawing import RenderedFigure
@@ -102,7 +102,7 @@ class DefenceMatrix(Kind):
 
         return matrix_trial.evaluate(run, compromised)
 
-    def measures(self, factors: Factors, outcome: Outcome) -> dict[str, Any]:
+    def measures(self, factors: Factors, outcome: TrialOutcome) -> dict[str, Any]:
         """What the matrix needs of one trial's metrics:
 
         fn, fp, ospa_m: of the ego's picture, per frame and in m;  own NAME: the user's metrics of it
@@ -233,15 +233,15 @@ class DefenceMatrix(Kind):
             numbers[name] = self.mean(self.values(factors, name), (0.0, math.inf))
         majority = self.values(factors, "honest_majority")
         # Where nobody lies because agents are faulty, there is no bound.
-        numbers["honest_majority"] = Measured() if is_fault(factors) else self.mean(majority, (0.0, 1.0))
+        numbers["honest_majority"] = Statistic() if is_fault(factors) else self.mean(majority, (0.0, 1.0))
         groups = self._by_trial([factors])
         numbers |= {
             "identifiable_removed": self._removed([factors]),
             "lies_detected": lies_detected(groups),
-            "median_delay_s": median_delay(groups) if self.suspends(factors["defence"]) else Measured(),
+            "median_delay_s": median_delay(groups) if self.suspends(factors["defence"]) else Statistic(),
             "honest_suspended_per_hour": alarms_per_hour(groups),
             "faulty_suspended_per_hour": alarms_per_hour(groups, "fault_alarms"),
-            "attacked": attacked_share(groups) if lies(factors) else Measured(),
+            "attacked": attacked_share(groups) if lies(factors) else Statistic(),
             **shares_of_runs(groups),
         }
         delay = delay_curve(groups)
@@ -252,7 +252,7 @@ class DefenceMatrix(Kind):
         for each in self.trials[factors].values():
             for conduct, states in each["seconds"].items():
                 seconds.update({f"seconds {conduct} {state}": seconds_s for state, seconds_s in states.items()})
-        numbers |= {name: Measured(float(each), trials=len(groups)) for name, each in (counts | dict(seconds)).items()}
+        numbers |= {name: Statistic(float(each), trials=len(groups)) for name, each in (counts | dict(seconds)).items()}
         return Row(_of(factors, budgets), len(groups), {name: numbers[name] for name in (*DEFENCE_MEASURES, *seconds)})
 
     def _own(self, factors: Factors, budgets: int) -> Row:
@@ -273,10 +273,10 @@ class DefenceMatrix(Kind):
         frames = sum(each["frames"] for group in quiet for each in group if each["hours"])
         numbers = {
             "lies_detected": lies_detected(lying),
-            "median_delay_s": median_delay(lying) if self.suspends(defence) else Measured(),
+            "median_delay_s": median_delay(lying) if self.suspends(defence) else Statistic(),
             "identifiable_removed": self._removed(attacked),
             "alarms_per_hour": alarms,
-            "frames": Measured(float(frames), trials=alarms.trials),
+            "frames": Statistic(float(frames), trials=alarms.trials),
             "fn_added": self.mean(self.added(without, "fn"), paired=True),
             "fp_added": self.mean(self.added(without, "fp"), paired=True),
             "faults_suspended": shares_of_runs(faulty)["wrongly_suspended"],
@@ -284,7 +284,7 @@ class DefenceMatrix(Kind):
         }
         return Row({"defence": defence}, len(lying), numbers)
 
-    def _removed(self, cells: Sequence[Factors]) -> Measured:
+    def _removed(self, cells: Sequence[Factors]) -> Statistic:
         """Share of identifiable inserted objects of the undefended runs that are not in the defended ones.
 
         cells: added up by scene and seed, without runs in which the adversaries did not lie to this defence; a cell
@@ -292,7 +292,7 @@ class DefenceMatrix(Kind):
         """
         attacked = [factors for factors in cells if lies(factors) and factors["defence"] != UNDEFENDED]
         if not attacked:
-            return Measured()
+            return Statistic()
         return intervals.one_minus(
             intervals.share(*self.paired_sums(attacked, lambda each: self.values(each, "fp_identifiable")))
         )
@@ -355,7 +355,7 @@ def _known(value: float | None) -> float:
 # -- measures of groups ------------------------------------------------------------------------------------------------
 
 
-def lies_detected(groups: Groups) -> Measured:
+def lies_detected(groups: Groups) -> Statistic:
     """The share of observable lies that were detected."""
     return intervals.share(*(_sums(groups, name) for name in ("detected", "observable")))
 
@@ -364,7 +364,7 @@ def _sums(groups: Groups, name: str) -> list[float]:
     return [sum(each[name] for each in group) for group in groups]
 
 
-def median_delay(groups: Groups) -> Measured:
+def median_delay(groups: Groups) -> Statistic:
     """The median delay; its upper bound is infinite if it is not known that half are detected."""
     delays = [each for each in _pairs(groups, "delays") if len(each)]
 
@@ -383,21 +383,21 @@ def delay_curve(groups: Groups) -> Survival | None:
     return kaplan_meier(delays[:, 0], delays[:, 1]) if len(delays) else None
 
 
-def alarms_per_hour(groups: Groups, name: str = "alarms") -> Measured:
+def alarms_per_hour(groups: Groups, name: str = "alarms") -> Statistic:
     """Suspensions of honest agents, or of faulty ones (`fault_alarms`)."""
     judged = [each for group in groups for each in group if each["hours"]]
     return intervals.rate(sum(each[name] for each in judged), sum(each["hours"] for each in judged), len(judged))
 
 
-def attacked_share(groups: Groups) -> Measured:
+def attacked_share(groups: Groups) -> Statistic:
     """The share of runs in which adversaries lied, which some never do."""
     return intervals.share_of_runs([[each["attacked"] for each in group] for group in groups])
 
 
-def shares_of_runs(groups: Groups) -> dict[str, Measured]:
+def shares_of_runs(groups: Groups) -> dict[str, Statistic]:
     """The share of runs in which something happened, of those in which it can happen: with lies or without."""
 
-    def share(happened: str, counts: Callable[[Mapping[str, Any]], bool]) -> Measured:
+    def share(happened: str, counts: Callable[[Mapping[str, Any]], bool]) -> Statistic:
         return intervals.share_of_runs(
             [[each[happened] > 0 for each in group if each["hours"] and counts(each)] for group in groups]
         )
@@ -411,7 +411,7 @@ def shares_of_runs(groups: Groups) -> dict[str, Measured]:
     }
 
 
-def state_shares(groups: Groups) -> dict[str, dict[str, Measured]]:
+def state_shares(groups: Groups) -> dict[str, dict[str, Statistic]]:
     """By conduct and state of trust, the share of the time with this conduct."""
     shares = {}
     for conduct in dict.fromkeys(name for group in groups for each in group for name in each["seconds"]):
@@ -442,7 +442,7 @@ def characteristic(defence: str, groups: Groups) -> DefenceRoc | None:
 
     whole = intervals.pooled(area, len(parts))
     enough = hours.sum() * ALARMS_PER_HOUR >= 1.0  # a single alarm in less is more than that
-    below = intervals.pooled(partial, len(parts)) if enough else Measured()
+    below = intervals.pooled(partial, len(parts)) if enough else Statistic()
     return DefenceRoc(defence, roc(pairs[:, 0], pairs[:, 1]), whole, below, float(hours.sum()))
 
 

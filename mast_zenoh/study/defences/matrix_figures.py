@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import product
 from typing import Any
 
-from mast_zenoh.metrics.study_results import Measured, Row
+from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.facets import Axis, HeatMap, facet, heat_facet, marks
 from mast_zenoh.report.figures.style import LINE_STYLES, Figure, light_axes, plain
@@ -70,9 +70,9 @@ def _damage(matrix: MatrixTable) -> RenderedFigure:
     for placement, count in product(placements, counts):
         places = [row for row in matrix.rows if row.of["n_adversaries"] == count]
         shares = [row["honest_majority"] for row in places if count == 0 or row.of["placement"] == placement]
-        share = next((each for each in shares if each.known), Measured())
+        share = next((each for each in shares if each.known), Statistic())
         of = {"panel": "honest majority (share of objects)", "curve": f"honest majority, {placement}", "n": count}
-        rows.append(Row(of, 0, {"damage": Measured(share.value)}))
+        rows.append(Row(of, 0, {"damage": Statistic(share.value)}))
     axis = Axis("damage", "missed and false objects added\nper frame, picture")
     columns = min(4, len({row.of["panel"] for row in rows}))
     figure = facet(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mast_zenoh.metrics.significance import clearest
-from mast_zenoh.metrics.study_results import MIN_SEEDS, Measured, Row, Survival, TrustPanel, plural
+from mast_zenoh.metrics.study_results import MIN_SEEDS, Row, Statistic, Survival, TrustPanel, plural
 from mast_zenoh.metrics.trust import Roc
 from mast_zenoh.report.tables.text_table import (
     DASH,
@@ -62,8 +62,8 @@ class DefenceRoc:
 
     defence: str
     roc: Roc
-    auc: Measured
-    partial_auc: Measured
+    auc: Statistic
+    partial_auc: Statistic
     hours: float
 
 
@@ -92,7 +92,7 @@ class MatrixTable:
     summaries: Sequence[Row]
     size: str
     own: Sequence[Row] = ()
-    state_shares: Mapping[str, Mapping[str, Mapping[str, Measured]]] = field(default_factory=dict)
+    state_shares: Mapping[str, Mapping[str, Mapping[str, Statistic]]] = field(default_factory=dict)
     panels: Sequence[TrustPanel] = ()
     unshown: int = 0
     not_suspending: Sequence[str] = ()
@@ -129,11 +129,11 @@ IDLE = "(no lie)"
 ABOUT_IDLE = f" {IDLE}: the adversaries, which hear how they are judged, lied in none of these runs."
 
 
-def _share(each: Measured) -> str:
+def _share(each: Statistic) -> str:
     return measured(each, 3)
 
 
-def _of_runs(each: Measured) -> str:
+def _of_runs(each: Statistic) -> str:
     """A share of runs, with their number."""
     return _share(each) + (f" of {each.trials}" if each.trials else "")
 
@@ -241,7 +241,7 @@ def _own(matrix: MatrixTable) -> TextTable:
 
 
 def _if_any(name: str) -> Callable[[Row], str]:
-    return lambda row: measured(row.numbers.get(name, Measured()))
+    return lambda row: measured(row.numbers.get(name, Statistic()))
 
 
 def _detection(matrix: MatrixTable) -> TextTable:
@@ -280,7 +280,7 @@ def _attacked(matrix: MatrixTable) -> list[Row]:
     return [row for row in matrix.rows if row["attacked"].known and row.of["defence"] in judging]
 
 
-def _lied(share: Measured) -> str:
+def _lied(share: Statistic) -> str:
     """In how many runs the adversaries lied: `3 of 4`."""
     return f"{round(share.value * share.trials)} of {share.trials}"
 

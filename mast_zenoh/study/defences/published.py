@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mast_zenoh.metrics.study_results import Measured
+from mast_zenoh.metrics.study_results import Statistic
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class PublishedNumber:
     quantity: str
     defence: str
     attacks: Sequence[str]
-    value: Measured
+    value: Statistic
 
 
 #: How a figure, or the method without one, is known.

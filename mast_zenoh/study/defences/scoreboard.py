@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from mast_zenoh.metrics.significance import holm
-from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, Measured, Row, plural
+from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, Row, Statistic, plural
 from mast_zenoh.report.findings.words import names as join_names
 from mast_zenoh.report.tables.text_table import BOUNDS, ResultTables, TextTable, bounds, digits, measured
 from mast_zenoh.study.defences.matrix_tables import MatrixTable
@@ -63,7 +63,7 @@ class FieldTable:
         raise KeyError(key)
 
 
-class Score(NamedTuple):
+class DefenceScore(NamedTuple):
     """A defence: its cells with the greatest damage, of all and of those without an attack."""
 
     worst: Row
@@ -75,12 +75,12 @@ class Score(NamedTuple):
         return str(self.worst.of["defence"])
 
     @property
-    def damage(self) -> Measured:
+    def damage(self) -> Statistic:
         """Of the worst case."""
         return self.worst["damage"]
 
     @property
-    def cost(self) -> Measured:
+    def cost(self) -> Statistic:
         """What the defence adds without an attack."""
         return self.quiet["damage"]
 
@@ -103,11 +103,11 @@ class Scoreboard:
         self.scores = sorted(self._scores(), key=lambda score: score.damage.value)
         self.defended = [score for score in self.scores if score.defence in defences]
 
-    def _scores(self) -> Iterator[Score]:
+    def _scores(self) -> Iterator[DefenceScore]:
         for name in dict.fromkeys(row.of["defence"] for row in self.rows):
             own = [row for row in self.rows if row.of["defence"] == name]
             if quiet := [row for row in own if not row.of["attack"]]:
-                yield Score(*(max(rows, key=lambda row: row["damage"].value) for rows in (own, quiet)))
+                yield DefenceScore(*(max(rows, key=lambda row: row["damage"].value) for rows in (own, quiet)))
 
     def differs(self, name: str, row: Row) -> bool:
         """Whether a measure of a cell differs from 0 if all are read together."""
@@ -138,7 +138,7 @@ class Scoreboard:
         """What the attack adds, as a defence also removes errors of the sensors; empty without an attack."""
         return f", of which the attack adds {self._text('by_attack', row)}" if row.of["attack"] else ""
 
-    def _rivals(self, best: Score) -> str:
+    def _rivals(self, best: DefenceScore) -> str:
         high = best.damage.high
         if math.isnan(high):
             return "That number has no interval, so the order of the rows is open."

@@ -9,7 +9,7 @@ from typing import Any
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.metrics.estimates import ESTIMATES
 from mast_zenoh.metrics.measures import MEASURES
-from mast_zenoh.metrics.study_results import Series
+from mast_zenoh.metrics.study_results import StudySeries
 from mast_zenoh.study import numbers, statistics
 from mast_zenoh.study.numbers import ACHIEVED, DEFENCE, DRIVEN, NAN, Number
 
@@ -33,9 +33,9 @@ class Objective:
     """
 
     text: str
-    terms: tuple[Series, ...]
+    terms: tuple[StudySeries, ...]
 
-    def series(self, ego: str) -> list[Series]:
+    def series(self, ego: str) -> list[StudySeries]:
         """The series of its terms in a run; ego: the agent that is scored."""
         return [term._replace(owner=term.owner or ego) for term in self.terms]
 
@@ -45,7 +45,7 @@ class Objective:
         trial_numbers: of `numbers.values`;  ego: the agent that is scored
         of_baseline:   whether the trial is of the baseline, whose difference from itself is 0
         """
-        known = {Series(*each[:3]): each.value for each in trial_numbers}
+        known = {StudySeries(*each[:3]): each.value for each in trial_numbers}
         if of_baseline:
             known |= {each: 0.0 for each in self.series(ego) if each.metric.endswith(_OVER_BASELINE)}
         return float(sum(known.get(each, NAN) for each in self.series(ego)))
@@ -65,7 +65,7 @@ class Objective:
 
     def check(self, trial_numbers: Iterable[Number], ego: str, place: str) -> None:
         """Raise ConfigurationError for a number that a trial under attack does not have."""
-        known = {Series(*each[:3]) for each in trial_numbers}
+        known = {StudySeries(*each[:3]) for each in trial_numbers}
         if unknown := [each for each in self.series(ego) if each not in known]:
             raise ConfigurationError(f"{place}: {_unknown(unknown[0], known)}")
 
@@ -76,7 +76,7 @@ class Objective:
 
     def is_rate(self, trial_numbers: Iterable[Number], ego: str) -> bool:
         """Whether values are 0 or 1, so that their mean is a rate."""
-        binary = [Series(*each[:3]) for each in trial_numbers if each.binary]
+        binary = [StudySeries(*each[:3]) for each in trial_numbers if each.binary]
         return len(self.terms) == 1 and self.series(ego)[0] in binary
 
     @property
@@ -104,7 +104,7 @@ def parse_objective(text: Any, place: str) -> Objective:
     return Objective(" + ".join(parts), terms)
 
 
-def _term(text: str, place: str) -> Series:
+def _term(text: str, place: str) -> StudySeries:
     words = text.split("/")
     if len(words) > 3 or not all(words):
         raise ConfigurationError(f"{place}: found {text!r}, expected METRIC, ESTIMATOR/METRIC or WHO/ESTIMATOR/METRIC")
@@ -113,10 +113,10 @@ def _term(text: str, place: str) -> Series:
         expected = f"{DRIVEN}/near_misses" if estimator == DRIVEN else f"{numbers.DRIVING}.critical"
         raise ConfigurationError(f"{place}: {metric!r} has no mean: expected {expected!r}")
     owner = words[0] if len(words) == 3 else "all" if estimator in _OF_ALL else ""
-    return Series(owner, estimator, metric)
+    return StudySeries(owner, estimator, metric)
 
 
-def _unknown(series: Series, known: Iterable[Series]) -> str:
+def _unknown(series: StudySeries, known: Iterable[StudySeries]) -> str:
     """What is unknown about a series, with the nearest that is known."""
     place = [(each.estimator, each.metric) for each in known if each.owner == series.owner]
     metrics = [metric for estimator, metric in place if estimator == series.estimator]
@@ -140,7 +140,7 @@ def _name_and_unit(metric: str) -> tuple[str, str]:
     return f"{name}{added}", "per run" if base in _PER_RUN else per_frame.strip()
 
 
-def _place(term: Series) -> str:
+def _place(term: StudySeries) -> str:
     """Whose number it is, in words."""
     estimator = ESTIMATES[term.estimator].column if term.estimator in ESTIMATES else term.estimator
     return estimator if term.owner in ("", "all") else f"{term.owner}: {estimator}"

@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from mast_zenoh import run_folder
-from mast_zenoh.metrics.study_results import Estimate, plural
+from mast_zenoh.metrics.study_results import SeriesEstimate, plural
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.facets import curve
 from mast_zenoh.report.figures.style import LINE_STYLES, Figure, light_axes, plain
@@ -111,7 +111,7 @@ def search_tables(results: SearchResults) -> ResultTables:
     )
 
 
-def _estimates(row: SearchRow) -> list[Estimate]:
+def _estimates(row: SearchRow) -> list[SeriesEstimate]:
     return [getattr(row, name) for name in ESTIMATES]
 
 

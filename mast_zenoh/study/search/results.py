@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import optuna
 
-from mast_zenoh.metrics.study_results import Estimate, plural
+from mast_zenoh.metrics.study_results import SeriesEstimate, plural
 from mast_zenoh.study import numbers, statistics
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.numbers import NAN, ego
 from mast_zenoh.study.search.plan import SEARCHED, SearchPlan
 from mast_zenoh.study.store import Store
-from mast_zenoh.study.trial import Outcome, Trial
+from mast_zenoh.study.trial import Trial, TrialOutcome
 
 #: Of a SearchRow.
 ESTIMATES = ("held_out", "over_baseline", "over_default")
-_NONE = Estimate()
+_NONE = SeriesEstimate()
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +34,9 @@ class SearchRow:
 
     configuration: str
     search: float = NAN
-    held_out: Estimate = _NONE
-    over_baseline: Estimate = _NONE
-    over_default: Estimate = _NONE
+    held_out: SeriesEstimate = _NONE
+    over_baseline: SeriesEstimate = _NONE
+    over_default: SeriesEstimate = _NONE
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ class SearchResults:
         return f"{tried} \u00d7 {scenes}; held out: {plural(self.count, 'seed')} \u00d7 {scenes}"
 
 
-def value(plan: SearchPlan, outcome: Outcome, baseline: Outcome | None) -> float:
+def value(plan: SearchPlan, outcome: TrialOutcome, baseline: TrialOutcome | None) -> float:
     """The objective of a trial; baseline: of the same scene and seed, None: unknown."""
     of_baseline = baseline is not None and baseline.trial.digest == outcome.trial.digest
     paired = numbers.values(outcome, None if of_baseline else baseline)

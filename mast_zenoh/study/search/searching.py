@@ -46,7 +46,7 @@ from mast_zenoh.study.search.results import SearchResults
 from mast_zenoh.study.search.space import as_text, corners, value_at
 from mast_zenoh.study.store import Store, status_written
 from mast_zenoh.study.tables import StudyResult
-from mast_zenoh.study.trial import Outcome, Trial, TrialKey
+from mast_zenoh.study.trial import Trial, TrialKey, TrialOutcome
 
 #: Gives the objective's values of candidates, in their order; NaN: a candidate has none.
 Evaluate = Callable[[Sequence[optuna.Trial]], Sequence[float]]
@@ -119,7 +119,7 @@ class Search:
         self.failures: dict[str, str] = {}
         self.values: dict[str, float] = {}
         self._store, self._jobs, self._allow_failures = store, workers, allow_failures
-        self._baseline: dict[TrialKey, Outcome] = {}
+        self._baseline: dict[TrialKey, TrialOutcome] = {}
 
     def write_status(self, status: str) -> None:
         """Write study.json."""
@@ -169,12 +169,12 @@ class Search:
         tried = [configuration(self.study, each.params, f"{CANDIDATE}{each.number + 1}") for each in batch]
         return [self._mean(outcomes) for outcomes in self._outcomes(tried, self.plan.seeds, bar)]
 
-    def _mean(self, outcomes: Iterable[Outcome]) -> float:
+    def _mean(self, outcomes: Iterable[TrialOutcome]) -> float:
         """The mean of the objective over trials; NaN if any has no value."""
         baseline = self._baseline
         return float(np.mean([results.value(self.plan, each, baseline.get(each.trial.key)) for each in outcomes]))
 
-    def _outcomes(self, configurations: Iterable[Configuration], count: int, bar: TaskID) -> list[list[Outcome]]:
+    def _outcomes(self, configurations: Iterable[Configuration], count: int, bar: TaskID) -> list[list[TrialOutcome]]:
         """For each configuration, the outcomes of all scenes with the first `count` seeds of the search.
 
         Raises TrialsFailed if any trial failed.
@@ -187,7 +187,7 @@ class Search:
             raise type(error)(f"{error}\nThe search stops there; {trials.how_to_continue(self._store)}")
         return [[self._loaded(trial) for trial in each] for each in planned]
 
-    def _loaded(self, trial: Trial) -> Outcome:
+    def _loaded(self, trial: Trial) -> TrialOutcome:
         outcome = self._store.load(trial)
         if outcome is None:
             raise OSError(f"{self._store.folder}: the outcome of a finished trial cannot be read: {trial.command()}")

@@ -57,7 +57,7 @@ class Op(IntEnum):
     WRAPPED = 5
 
 
-class Kind(IntEnum):
+class NodeKind(IntEnum):
     """Presence of a sequence's field; `kernels/uper.pxd` repeats them."""
 
     MANDATORY = 0
@@ -67,7 +67,7 @@ class Kind(IntEnum):
     ABSENT = 4
 
 
-_KINDS = {Default: Kind.DEFAULT, Optional: Kind.OPTIONAL, Demanded: Kind.PRESENT, Absent: Kind.ABSENT}
+_KINDS = {Default: NodeKind.DEFAULT, Optional: NodeKind.OPTIONAL, Demanded: NodeKind.PRESENT, Absent: NodeKind.ABSENT}
 
 
 @dataclass(frozen=True)
@@ -80,14 +80,14 @@ class SlotPlace:
 
     name: str
     type: Type
-    kind: Kind
+    kind: NodeKind
     slot: int
     default: int = 0
 
     @property
     def first(self) -> int:
         """The presence, or the value if there is no slot for presence."""
-        return self.slot - (self.kind >= Kind.OPTIONAL)
+        return self.slot - (self.kind >= NodeKind.OPTIONAL)
 
 
 @cache
@@ -100,8 +100,8 @@ def places(sequence: Sequence) -> tuple[SlotPlace, ...]:
         if len(result) == len(sequence.fields):
             slot += 2  # the number of additions, and the start of unknown ones
         type = field.type if isinstance(field, Optional) else field
-        kind = _KINDS.get(field.__class__, Kind.MANDATORY)
-        slot += kind >= Kind.OPTIONAL
+        kind = _KINDS.get(field.__class__, NodeKind.MANDATORY)
+        slot += kind >= NodeKind.OPTIONAL
         result.append(SlotPlace(name, type, kind, slot, field.value if isinstance(field, Default) else 0))
         slot += width(type)
     return tuple(result)
@@ -150,8 +150,8 @@ def least_bits(type: Type) -> int:
         return bits_of_range(type.low, type.high) + type.low * least_bits(type.element)
     if isinstance(type, Sequence):
         root = places(type)[: len(type.fields)]
-        flags = (type.additions is not None) + sum(place.kind != Kind.MANDATORY for place in root)
-        return flags + sum(least_bits(place.type) for place in root if place.kind == Kind.MANDATORY)
+        flags = (type.additions is not None) + sum(place.kind != NodeKind.MANDATORY for place in root)
+        return flags + sum(least_bits(place.type) for place in root if place.kind == NodeKind.MANDATORY)
     if isinstance(type, Choice):
         return bits_of_range(0, len(type.alternatives) - 1) + (type.additions is not None)
     return bits_of_range(type.id_type.low, type.id_type.high) + 16
@@ -212,7 +212,7 @@ class EncodingProgram:
                 for number in (place.kind, place.slot, self._compile(place.type), place.default)
             ]
             n_fields, root = len(type.fields), places(type)[: len(type.fields)]
-            flags = sum(place.kind != Kind.MANDATORY for place in root)
+            flags = sum(place.kind != NodeKind.MANDATORY for place in root)
             additions = -1 if type.additions is None else len(type.additions)
             return [Op.SEQUENCE, n_fields, additions, extension_slot(type), flags, *fields]
         if isinstance(type, Choice):

@@ -31,7 +31,7 @@ from mast_zenoh.v2x.asn1.asn1_types import (
     Type,
 )
 from mast_zenoh.v2x.asn1.codec_kernels import Values
-from mast_zenoh.v2x.asn1.layout import EncodingProgram, Kind, extension_slot, places, width
+from mast_zenoh.v2x.asn1.layout import EncodingProgram, NodeKind, extension_slot, places, width
 from mast_zenoh.v2x.asn1.uper import unknown_name
 
 
@@ -66,7 +66,7 @@ def _fields(type: Sequence, values: list[int], slot: int) -> dict[str, Any]:
     plain = {
         place.name: _to_plain(place.type, values, slot + place.slot)
         for place in places(type)
-        if place.kind < Kind.OPTIONAL or values[slot + place.first]
+        if place.kind < NodeKind.OPTIONAL or values[slot + place.first]
     }
     if type.additions is not None:
         known = len(type.additions)

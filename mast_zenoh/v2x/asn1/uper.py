@@ -15,7 +15,7 @@ import numpy as np
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x.asn1.asn1_types import LONGEST, Choice, Enumerated, Integer, ListOf, Sequence, Type, Wrapped
 from mast_zenoh.v2x.asn1.codec_kernels import CodecFault, Refusal, Values, decode_values, encode_values
-from mast_zenoh.v2x.asn1.layout import EncodingProgram, Kind, places
+from mast_zenoh.v2x.asn1.layout import EncodingProgram, NodeKind, places
 
 
 def encode(layout: EncodingProgram, values: Values) -> bytes:
@@ -43,7 +43,7 @@ def _explanation(layout: EncodingProgram, refusal: Refusal) -> str:
     return f"{path or 'message'}: {_TEXTS[CodecFault(fault)](found, type, kind)}"
 
 
-def _location(type: Type, numbers: tuple[int, ...]) -> tuple[str, Type | None, Kind | None]:
+def _location(type: Type, numbers: tuple[int, ...]) -> tuple[str, Type | None, NodeKind | None]:
     """Path, type (None: unknown octets) and presence of a field."""
     path: list[str] = []
     kind, at = None, type
@@ -99,7 +99,7 @@ def _expected(type: Type | None) -> str:
     return f"1..{LONGEST}"
 
 
-Text = Callable[[int, Type | None, Kind | None], str]
+Text = Callable[[int, Type | None, NodeKind | None], str]
 
 _TEXTS: dict[CodecFault, Text] = {
     CodecFault.TRUNCATED: lambda found, type, kind: f"the bytes end here, {found} bits are left and more are needed",
@@ -124,9 +124,9 @@ _TEXTS: dict[CodecFault, Text] = {
 }
 
 
-def _presence(found: int, kind: Kind | None) -> str:
-    if kind == Kind.PRESENT:
+def _presence(found: int, kind: NodeKind | None) -> str:
+    if kind == NodeKind.PRESENT:
         return "1: the field is mandatory here"
-    if kind == Kind.ABSENT:
+    if kind == NodeKind.ABSENT:
         return "0: the field is not allowed here"
     return "0: it is behind the listed additions" if found == 1 else "0 or 1"

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_datasets.avstack_files import (
-    Calibration,
-    Layout,
     ObjectState,
+    RunLayout,
+    SensorCalibration,
     open_layout,
     read_buildings,
     read_calibration,
@@ -76,7 +76,7 @@ class AVstackScene(DataSetScene):
         with open_layout(self.root, self.max_unpacked_mb) as layout:
             return self._record(layout, seed, frames)
 
-    def _record(self, layout: Layout, seed: int, frames: int | None) -> Recording:
+    def _record(self, layout: RunLayout, seed: int, frames: int | None) -> Recording:
         numbers = list(layout.frames())
         if frames is not None:
             if not 1 <= frames <= len(numbers):
@@ -114,7 +114,7 @@ class AVstackScene(DataSetScene):
 
 
 def _read_states(
-    layout: Layout, numbers: list[int]
+    layout: RunLayout, numbers: list[int]
 ) -> tuple[Ints, list[dict[int, ObjectState]], list[dict[int, ObjectState]]]:
     """Times (F,) ns, and the actors by number and objects by id of every frame.
 
@@ -165,7 +165,7 @@ def _boxes(objects: list[dict[int, ObjectState]]) -> tuple[SceneBoxes, Ints]:
     return boxes, np.cumsum([0, *map(len, objects)])
 
 
-def _path(layout: Layout, numbers: list[int], number: int, is_ego: bool, states: list[ObjectState]) -> AgentPath:
+def _path(layout: RunLayout, numbers: list[int], number: int, is_ego: bool, states: list[ObjectState]) -> AgentPath:
     """The path of an agent with its first lidar and its first camera. states: of it in each frame"""
     mobile = states[0].size is not None
     position, rotation = np.array([each.position for each in states]), np.array([each.rotation for each in states])
@@ -197,7 +197,7 @@ def _path(layout: Layout, numbers: list[int], number: int, is_ego: bool, states:
     return AgentPath(SceneAgent(name, kind, own, lidar, camera), position, rotation, velocity)
 
 
-def _mount(calibration: Calibration, position: Floats, rotation: Floats) -> tuple[Floats, Floats]:
+def _mount(calibration: SensorCalibration, position: Floats, rotation: Floats) -> tuple[Floats, Floats]:
     """A sensor's pose in its agent's frame, from both poses in the world.
 
     Some writers give the sensor's pose relative to the agent, others to the world: resolved, both are the same.
@@ -206,7 +206,7 @@ def _mount(calibration: Calibration, position: Floats, rotation: Floats) -> tupl
 
 
 def _points(
-    layout: Layout,
+    layout: RunLayout,
     ids: Ints,
     start: Ints,
     numbers: list[int],

@@ -143,7 +143,7 @@ _MAX_DEPTH = 3  # levels of subfolders that are searched for a run
 
 
 @dataclass(frozen=True)
-class Layout:
+class RunLayout:
     """A run folder, and the folders that may hold accompanying files, nearest first."""
 
     run: Path
@@ -194,7 +194,7 @@ class Layout:
 
 
 @contextlib.contextmanager
-def open_layout(path: Path, max_unpacked_mb: float) -> Iterator[Layout]:
+def open_layout(path: Path, max_unpacked_mb: float) -> Iterator[RunLayout]:
     """Open the layout at `path`: a run folder, a folder above one, or a tar archive.
 
     A folder above must contain a single run. An archive is unpacked into a temporary folder, without the images and
@@ -215,10 +215,10 @@ def open_layout(path: Path, max_unpacked_mb: float) -> Iterator[Layout]:
             raise SceneError(str(error).replace(folder, str(path))) from error
 
 
-def find_layout(path: Path) -> Layout:
+def find_layout(path: Path) -> RunLayout:
     """The layout in a folder: the folder itself, or the only run below it."""
     if (path / "objects").is_dir():
-        return Layout(path, (path, path.parent))
+        return RunLayout(path, (path, path.parent))
     level, runs = [path], []
     for _ in range(_MAX_DEPTH):
         level = sorted(child for folder in level for child in folder.iterdir() if child.is_dir())
@@ -230,7 +230,7 @@ def find_layout(path: Path) -> Layout:
         names = ", ".join(str(run.relative_to(path)) for run in runs[:5])
         raise SceneError(f"{path}: {len(runs)} runs ({names}), expected the path of one")
     above = [folder for folder in runs[0].parents if folder == path or path in folder.parents]
-    return Layout(runs[0], (runs[0], *above))
+    return RunLayout(runs[0], (runs[0], *above))
 
 
 def _files(folder: Path, kind: str, frames: Sequence[int] | None = None) -> dict[int, Path]:
@@ -309,7 +309,7 @@ def read_seen(path: Path, frame: int) -> dict[int, float | None]:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class SensorCalibration:
     """The pose of a sensor in the world; image size and focal length of a camera.
 
     position: (3,) m;  rotation: (3, 3) active, sensor to world;  focal, width, height: px, None for a lidar
@@ -322,14 +322,14 @@ class Calibration:
     height: int | None
 
 
-def read_calibration(path: Path) -> Calibration:
+def read_calibration(path: Path) -> SensorCalibration:
     """Read a `calib-…` file. Raises SceneError with its path."""
     calibration = read_json(path)["calibration"]
     position, rotation = _frame(calibration["reference"])
     if calibration.get("img_shape") is None:
-        return Calibration(position, rotation, None, None, None)
+        return SensorCalibration(position, rotation, None, None, None)
     height, width, *_ = calibration["img_shape"].read(_Pixels)
-    return Calibration(position, rotation, calibration["P"].read(_Focal)[0][0], width, height)
+    return SensorCalibration(position, rotation, calibration["P"].read(_Focal)[0][0], width, height)
 
 
 def _object_state(data: Element) -> ObjectState:

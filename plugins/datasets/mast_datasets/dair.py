@@ -106,7 +106,7 @@ _CAR_SIZE = np.array([4.8, 1.9, 1.6])
 _LIDAR_HEIGHT_M = (1.0, 4.0)  # above the ground; estimated from the boxes nearby, within these limits
 
 
-class Poses(NamedTuple):
+class LidarPoses(NamedTuple):
     """Poses of a lidar in the world: position (F, 3) m, rotation (F, 3, 3) active."""
 
     position: Floats
@@ -147,7 +147,13 @@ def positions(labels: list[Element], position: Floats, rotation: Floats) -> Floa
 
 
 def read_truth(
-    layout: Layout, pairs: list[Pair], car: Poses, pole: Poses, times_ns: Ints, match_m: float, link_m: float | None
+    layout: Layout,
+    pairs: list[Pair],
+    car: LidarPoses,
+    pole: LidarPoses,
+    times_ns: Ints,
+    match_m: float,
+    link_m: float | None,
 ) -> Truth:
     """The cooperative labels of a sequence in the world frame; agents are the car and the pole.
 
@@ -209,7 +215,7 @@ class _Side:
         return near
 
 
-def with_car(truth: Truth, car: Poses) -> tuple[Truth, int]:
+def with_car(truth: Truth, car: LidarPoses) -> tuple[Truth, int]:
     """The truth with a box of the car in every frame, and its id.
 
     Tracks whose boxes enclose the car's lidar in at least half of their frames are the car itself, as the pole sees
@@ -358,8 +364,8 @@ class DAIRScene(DataSetScene):
         return chosen
 
 
-def _poses(layout: Layout, pairs: list[Pair]) -> tuple[Poses, Poses]:
+def _poses(layout: Layout, pairs: list[Pair]) -> tuple[LidarPoses, LidarPoses]:
     """Poses of the lidars of the car and of the pole."""
     car = [layout.vehicle_pose(pair) for pair in pairs]
     pole = [layout.infrastructure_pose(pair, rotation) for pair, (_, rotation) in zip(pairs, car, strict=True)]
-    return Poses(*map(np.array, zip(*car, strict=True))), Poses(*map(np.array, zip(*pole, strict=True)))
+    return LidarPoses(*map(np.array, zip(*car, strict=True))), LidarPoses(*map(np.array, zip(*pole, strict=True)))

@@ -51,7 +51,7 @@ _MATRICES = {
 }
 
 
-class Labels(NamedTuple):
+class CameraLabels(NamedTuple):
     """N labelled boxes in the axes of the rectified camera: x right, y down, z ahead.
 
     boxes:    their positions are middles of undersides, their yaws are about the downward axis; at 0 an object faces
@@ -71,7 +71,7 @@ class Calibration:
     lidar: tuple[Floats, Floats]
 
 
-def read_labels(path: Path, frames: int) -> Labels:
+def read_labels(path: Path, frames: int) -> CameraLabels:
     """The labels of a sequence with so many frames, without regions that are not annotated (DontCare)."""
     rows: list[tuple[float, ...]] = []
     seen: set[tuple[int, int]] = set()
@@ -97,7 +97,7 @@ def read_labels(path: Path, frames: int) -> Labels:
     table = np.array(rows, np.float64).reshape(-1, 11)
     frame, track, class_id, occluded = table[:, :4].astype(np.int64).T
     boxes = SceneBoxes(frame, track, table[:, 7:10], table[:, 4:7], table[:, 10], class_id.astype(np.uint8))
-    return Labels(boxes, occluded)
+    return CameraLabels(boxes, occluded)
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -261,7 +261,7 @@ def _lidar(calibration: Calibration) -> LidarSensor:
 
 
 def _boxes(
-    labels: Labels, calibration: Calibration, position: Floats, rotation: Floats, window: slice, ground: float
+    labels: CameraLabels, calibration: Calibration, position: Floats, rotation: Floats, window: slice, ground: float
 ) -> tuple[SceneBoxes, NDArray[np.int64]]:
     """The ego's boxes, then the labelled ones, in the world; and how occluded each is (3: unknown)."""
     frames = len(position)

@@ -33,11 +33,11 @@ _Class = Literal["unknown", "car", "truck", "bus", "motorcycle", "bicycle", "ped
 _Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 
 
-class _Entry(Struct, forbid_unknown_fields=True, eq=False, dict=True):
+class _MapEntry(Struct, forbid_unknown_fields=True, eq=False, dict=True):
     """An entry of a map."""
 
 
-class Pose(_Entry):
+class FramePose(_MapEntry):
     """A pose in a frame of reference: m, and degrees counter-clockwise and down."""
 
     position: Point = (0.0, 0.0, 0.0)
@@ -55,7 +55,7 @@ class Pose(_Entry):
         return rotation_from_yaw_pitch(float(np.radians(self.yaw_deg)), float(np.radians(self.pitch_deg)))
 
 
-class Source(_Entry):
+class TopicSource(_MapEntry):
     """Messages of a topic.
 
     child:    of a topic with transforms: names of frames, from the child of a fixed frame down to that whose pose is
@@ -66,7 +66,7 @@ class Source(_Entry):
 
     topic: Annotated[str, Meta(max_length=1000)] = ""
     child: _Text | Annotated[list[_Text], Meta(max_length=20)] = []
-    origin: Pose | None = None
+    origin: FramePose | None = None
     offset_s: Annotated[float, Meta(ge=-1e9, le=1e9)] = 0.0
     time: _Time | None = None
 
@@ -80,7 +80,7 @@ class Source(_Entry):
         return [self.child] if isinstance(self.child, str) else self.child
 
 
-class PoseEntry(Source):
+class PoseEntry(TopicSource):
     """The poses of an agent: a source, or without a topic the pose of one that never moves."""
 
     position: Point = (0.0, 0.0, 0.0)
@@ -88,12 +88,12 @@ class PoseEntry(Source):
     pitch_deg: _Turn = 0.0
 
     @cached_property
-    def fixed(self) -> Pose:
+    def fixed(self) -> FramePose:
         """The pose of one that never moves."""
-        return Pose(position=self.position, yaw_deg=self.yaw_deg, pitch_deg=self.pitch_deg)
+        return FramePose(position=self.position, yaw_deg=self.yaw_deg, pitch_deg=self.pitch_deg)
 
 
-class Body(_Entry):
+class Body(_MapEntry):
     """The box of an object whose pose is known: size m, class, and its middle m in the frame of the pose."""
 
     size: Size
@@ -101,7 +101,7 @@ class Body(_Entry):
     centre: Point = (0.0, 0.0, 0.0)
 
 
-class TruthEntry(Source):
+class TruthEntry(TopicSource):
     """An object of the truth, with the parts of its `Body`, or a topic with lists of objects, without some ids.
 
     without: ids as the messages have them: text, a UUID in hexadecimal digits, or one of our whole numbers
@@ -123,7 +123,7 @@ class TruthEntry(Source):
             raise ValueError("expected a topic; an object with a pose needs `size` and `class`, a list neither")
 
 
-class Paths(_Entry):
+class Paths(_MapEntry):
     """Paths of values in messages of a type that is not known: of the list, and of others in its elements."""
 
     list: _Text
@@ -191,7 +191,7 @@ class DetectionsEntry(PoseEntry, kw_only=True):
             raise ValueError("fields: expected a path of `size`, or `size` beside `fields`")
 
 
-class AgentEntry(_Entry, kw_only=True):
+class AgentEntry(_MapEntry, kw_only=True):
     """An agent. body: None: it is no object"""
 
     pose: PoseEntry
@@ -216,7 +216,7 @@ class AgentEntry(_Entry, kw_only=True):
             raise ValueError("expected no body of an agent that never moves")
 
 
-class BagMap(_Entry, kw_only=True):
+class BagMap(_MapEntry, kw_only=True):
     """A map. bag: path of its bag, from the folder of the map; types: definition of message types, by name"""
 
     bag: Annotated[str, Meta(max_length=1000)] = ""
@@ -238,9 +238,9 @@ class BagMap(_Entry, kw_only=True):
         """ns, the longest time between two poses that is bridged."""
         return round(self.max_gap_s * 1e9)
 
-    def sources(self) -> dict[Source, str]:
+    def sources(self) -> dict[TopicSource, str]:
         """All sources of the agents and of the truth, and their places in the map."""
-        found: dict[Source, str] = {}
+        found: dict[TopicSource, str] = {}
         for name, agent in self.agents.items():
             found[agent.pose] = f"agents.{name}.pose"
             found |= dict.fromkeys(agent.sensors, f"agents.{name}.detections")
@@ -264,7 +264,7 @@ def parse_map(content: Mapping[str, Any], path: Path) -> BagMap:
     """
     try:
         whole: BagMap = Element(dict(content), path).read(BagMap)
-        for key, kind in (("frames", Pose), ("agents", AgentEntry), ("truth", TruthEntry)):
+        for key, kind in (("frames", FramePose), ("agents", AgentEntry), ("truth", TruthEntry)):
             for name, entry in getattr(whole, key).items():
                 getattr(whole, key)[name] = Element(entry, path, f"$.{key}.{name}").read(kind)
     except SceneError as error:

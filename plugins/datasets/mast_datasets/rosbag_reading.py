@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 from rosbags.typesys.base import normalize_fieldname
 
-from mast_datasets.rosbag_map import BagMap, DetectionsEntry, Pose, Source, TruthEntry
+from mast_datasets.rosbag_map import BagMap, DetectionsEntry, FramePose, TopicSource, TruthEntry
 from mast_datasets.rosbag_storage import Bag
 from mast_datasets.rosbag_types import Decode, Fields, OwnType, known_decoder, parse_definition
 from mast_datasets.traffic import MAX_BOXES
@@ -84,7 +84,7 @@ def _slerp(first: Floats, second: Floats, share: Floats) -> Floats:
     return np.asarray(weights[0] * first + weights[1] * second)
 
 
-Entry = TypeVar("Entry", bound=Source)
+Entry = TypeVar("Entry", bound=TopicSource)
 
 
 class TopicReader(ABC, Generic[Entry]):
@@ -101,7 +101,7 @@ class TopicReader(ABC, Generic[Entry]):
         self.source, self.place = source, place
         self.count = 0
         self.remarks: Counter[str] = Counter()
-        self._frames: Mapping[str, Pose] = bag_map.frames
+        self._frames: Mapping[str, FramePose] = bag_map.frames
         self._is_received = (source.time or bag_map.time) == "received"
         self._offset_ns = round(source.offset_s * 1e9)
         self._frame_id = ""
@@ -173,14 +173,14 @@ class TopicReader(ABC, Generic[Entry]):
             )
         self._frame_id = frame_id
 
-    def _origin(self) -> Pose:
+    def _origin(self) -> FramePose:
         return self.source.origin or self._frames[self._frame_id]
 
 
-class PoseReader(TopicReader[Source]):
+class PoseReader(TopicReader[TopicSource]):
     """The poses of an agent or an object."""
 
-    def __init__(self, source: Source, place: str, bag_map: BagMap) -> None:
+    def __init__(self, source: TopicSource, place: str, bag_map: BagMap) -> None:
         super().__init__(source, place, bag_map)
         #: Poses of each frame in the one above it: ns of each, and x y z w x y z of each.
         self._links = {child: (array("q"), array("d")) for child in source.chain or ("",)}
@@ -243,7 +243,7 @@ class PoseReader(TopicReader[Source]):
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class SensorMeasurements:
     """The measurements of a sensor.
 
     times_ns:   (K,) ns, ascending
@@ -256,7 +256,7 @@ class Measured:
     first: Ints
     count: Ints
     detections: Detections
-    fixed: Pose | None
+    fixed: FramePose | None
 
     def detections_of(self, measurement: int) -> Detections:
         """The detections of a measurement; views, not copies."""
@@ -348,7 +348,7 @@ class DetectionReader(TopicReader[DetectionsEntry]):
         centre = SimpleNamespace(position=found["position"], orientation=found["orientation"])
         return SimpleNamespace(results=results, bbox=SimpleNamespace(center=centre, size=found["size"]), id="")
 
-    def measured(self) -> Measured:
+    def measured(self) -> SensorMeasurements:
         """All measurements, by time."""
         times, count = np.frombuffer(self._times, np.int64), np.frombuffer(self._counts, np.int64)
         order, first = np.argsort(times, kind="stable"), np.cumsum(count) - count
@@ -357,7 +357,9 @@ class DetectionReader(TopicReader[DetectionsEntry]):
         detections = Detections(
             position, size, yaw[:, 0], score[:, 0], class_id[:, 0].astype(np.uint8), covariance.reshape(-1, 3, 3)
         )
-        return Measured(times[order], first[order], count[order], detections, self._frames.get(self.source.frame))
+        return SensorMeasurements(
+            times[order], first[order], count[order], detections, self._frames.get(self.source.frame)
+        )
 
 
 #: Parts of a detection, names of their numbers, and the usual ones.
@@ -490,7 +492,7 @@ class ObjectReader(TopicReader[TruthEntry]):
         return found
 
 
-def _reader(source: Source, place: str, bag_map: BagMap) -> TopicReader[Any]:
+def _reader(source: TopicSource, place: str, bag_map: BagMap) -> TopicReader[Any]:
     if isinstance(source, DetectionsEntry):
         return DetectionReader(source, place, bag_map)
     if isinstance(source, TruthEntry) and source.body is None:
@@ -498,7 +500,7 @@ def _reader(source: Source, place: str, bag_map: BagMap) -> TopicReader[Any]:
     return PoseReader(source, place, bag_map)
 
 
-def read_topics(bag: Bag, bag_map: BagMap, path: Path) -> dict[Source, TopicReader[Any]]:
+def read_topics(bag: Bag, bag_map: BagMap, path: Path) -> dict[TopicSource, TopicReader[Any]]:
     """Read all mapped topics once; the readers by their sources in the map. path: of the map
 
     Raises ConfigurationError for a topic that the bag does not have or whose type is of no use, and SceneError with the

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mast_datasets.rosbag_map import AgentEntry, BagMap, Body, Source
+from mast_datasets.rosbag_map import AgentEntry, BagMap, Body, TopicSource
 from mast_datasets.rosbag_reading import (
     DetectionReader,
-    Measured,
     ObjectReader,
     PoseReader,
     PosesAt,
     PoseTrack,
+    SensorMeasurements,
     TopicReader,
     TrueObject,
 )
@@ -38,7 +38,7 @@ _CAMERA = Camera(mount_position=np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
+class _DetectionRows:
     """Detections of one sensor in all frames: each with its frame (n,) and truth id (n,)."""
 
     frame: Ints
@@ -54,11 +54,13 @@ class BagScene:
     Raises SceneError and ConfigurationError, as `Scene.record` does.
     """
 
-    def __init__(self, scene: RosBag, path: Path, bag_map: BagMap, readers: Mapping[Source, TopicReader[Any]]) -> None:
+    def __init__(
+        self, scene: RosBag, path: Path, bag_map: BagMap, readers: Mapping[TopicSource, TopicReader[Any]]
+    ) -> None:
         self._path, self._detector, self._map = path, scene.detector, bag_map
-        self._tracks: dict[Source, PoseTrack] = {}
-        self._measured: dict[Source, Measured] = {}
-        self._lists: dict[Source, list[TrueObject]] = {}
+        self._tracks: dict[TopicSource, PoseTrack] = {}
+        self._measured: dict[TopicSource, SensorMeasurements] = {}
+        self._lists: dict[TopicSource, list[TrueObject]] = {}
         notes: dict[str, None] = {}  # one of a topic that several agents are on
         for source, reader in readers.items():
             if isinstance(reader, PoseReader):
@@ -193,7 +195,7 @@ class BagScene:
         frames, start = len(recording), int(self._times_ns[0])
         shape = frames, len(recording.sensor_names)
         age, position, rotation = np.zeros(shape, np.int64), np.empty((*shape, 3)), np.empty((*shape, 3, 3))
-        rows: list[_Rows] = []
+        rows: list[_DetectionRows] = []
         generated: list[str] = []
         for agent_row, agent in enumerate(self._agents.values()):
             for sensor_row, entry in enumerate(agent.sensors):
@@ -232,7 +234,9 @@ class BagScene:
         complete.validate()
         return complete
 
-    def _note_measurements(self, name: str, measured: Measured, usable: Ints, schedule: SensorSchedule) -> None:
+    def _note_measurements(
+        self, name: str, measured: SensorMeasurements, usable: Ints, schedule: SensorSchedule
+    ) -> None:
         """Say how many measurements are new in no frame, of all frames of the scene."""
         times, frames = measured.times_ns[usable], self._times_ns
         within = int(np.count_nonzero((times >= frames[0]) & (times <= frames[-1])))
@@ -256,7 +260,7 @@ def _boxes_of(number: int, body: Body, poses: PosesAt) -> SceneBoxes:
     return SceneBoxes.throughout(number, position, size, yaw, CLASS_INDEX[body.kind]).select(poses.known)
 
 
-def _rows_of(recording: Recording, agent: int, sensor: int) -> _Rows:
+def _rows_of(recording: Recording, agent: int, sensor: int) -> _DetectionRows:
     """The detections of a sensor in a recording."""
     column, sensors = recording.column(agent, sensor), len(recording.sensor_names)
     start = recording.detection_start
@@ -264,10 +268,12 @@ def _rows_of(recording: Recording, agent: int, sensor: int) -> _Rows:
     frame = np.repeat(np.arange(len(counts)), counts)
     first = np.repeat(start[:-1].reshape(-1, sensors)[:, column], counts)
     rows = first + np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return _Rows(frame, recording.detections.select(rows), recording.detection_truth_id[rows])
+    return _DetectionRows(frame, recording.detections.select(rows), recording.detection_truth_id[rows])
 
 
-def _measured_rows(measured: Measured, source: Ints, frame: Ints, poses: PosesAt, lidar: LidarSensor) -> _Rows:
+def _measured_rows(
+    measured: SensorMeasurements, source: Ints, frame: Ints, poses: PosesAt, lidar: LidarSensor
+) -> _DetectionRows:
     """Recorded detections in the frame of their sensor when it measured.
 
     source: (n,) rows of the measurements; frame: (n,) in which each is new; poses: of the agent at all measurements
@@ -288,7 +294,7 @@ def _measured_rows(measured: Measured, source: Ints, frame: Ints, poses: PosesAt
         )
         parts.append(to_sensor(in_world, *pose))
     frames = np.repeat(frame, [len(part) for part in parts])
-    return _Rows(frames, Detections.joined([Detections.empty(), *parts]), np.full(len(frames), -1, np.int64))
+    return _DetectionRows(frames, Detections.joined([Detections.empty(), *parts]), np.full(len(frames), -1, np.int64))
 
 
 def _about_vertical(yaw: Floats, rotation: Floats) -> Floats:
@@ -303,7 +309,7 @@ def _about_vertical(yaw: Floats, rotation: Floats) -> Floats:
     return wrap_angle(np.arctan2(y, x) - heading(rotation))
 
 
-def _joined(sensors: list[_Rows], frames: int) -> tuple[Detections, Ints, Ints]:
+def _joined(sensors: list[_DetectionRows], frames: int) -> tuple[Detections, Ints, Ints]:
     """The columns of a recording of the detections of all sensors, in their order."""
     group = np.concatenate([each.frame * len(sensors) + column for column, each in enumerate(sensors)])
     order = np.argsort(group, kind="stable")

@@ -12,7 +12,7 @@ import numpy as np
 from mast_datasets.files import Element, find_file
 from mast_datasets.sumo_files import (
     VEHICLE_CLASSES,
-    Row,
+    TraceRow,
     VehicleType,
     VehicleTypes,
     read_buildings,
@@ -58,7 +58,7 @@ def read_trace(file: Path, types: VehicleTypes, start_s: float | None, duration_
     Raises SceneError for a trace that cannot be, and ConfigurationError for a window that is not in it.
     """
     steps = read_steps(file)
-    collected = _Rows(file, types)
+    collected = _TraceRows(file, types)
     times: list[int] = []
     last: int | None = None
     begin = None if start_s is None else round(start_s * _NS)
@@ -118,7 +118,7 @@ def _check_metres(file: Path, trace: Trace) -> None:
         )
 
 
-class _Rows:
+class _TraceRows:
     """Decodes and collects rows."""
 
     def __init__(self, file: Path, types: VehicleTypes) -> None:
@@ -131,7 +131,9 @@ class _Rows:
     def add(self, frame: int, listed: list[tuple[bool, Element]]) -> None:
         """Add the rows of a frame, without those of persons in a vehicle."""
         seen: set[str] = set()
-        rows: list[tuple[bool, Element, Row]] = [(person, element, element.read(Row)) for person, element in listed]
+        rows: list[tuple[bool, Element, TraceRow]] = [
+            (person, element, element.read(TraceRow)) for person, element in listed
+        ]
         # SUMO gives the position, angle and speed of their vehicle to persons in it.
         vehicles = {(row.x, row.y, row.angle, row.speed) for person, _, row in rows if not person}
         for person, element, row in rows:
@@ -151,7 +153,7 @@ class _Rows:
             place, yaw = (row.x, row.y, row.z or 0.0), float(np.radians(90.0 - row.angle))
             self._rows.append((frame, name, place, yaw, speed, self._kind(person, element, row), person))
 
-    def _kind(self, person: bool, element: Element, row: Row) -> VehicleType:
+    def _kind(self, person: bool, element: Element, row: TraceRow) -> VehicleType:
         if row.type is None:
             return type_of_class("pedestrian") if person else element.fail("a type")
         if row.length is not None and row.type in VEHICLE_CLASSES:

@@ -36,7 +36,7 @@ MAX_SIZE_M = 1000.0
 _Side = Annotated[float, Meta(gt=0, le=MAX_SIZE_M)] | None
 
 
-class Row(Struct):
+class TraceRow(Struct):
     """What a trace says of one object at one time, by SUMO's names; angle: degrees clockwise from north."""
 
     id: Annotated[str, Meta(min_length=1, max_length=200)]

@@ -140,7 +140,7 @@ def copy_input(path: Path, target: BinaryIO) -> None:
     Elements that measure, write or draw are left out, and so are parameters outside of traffic lights. Raises
     SceneError, with file, line and reason, for a file that is no XML or is too large, and for any other element.
     """
-    for _ in _Copy(path, target).parse(MAX_BYTES):
+    for _ in _ElementCopy(path, target).parse(MAX_BYTES):
         pass
     target.flush()
 
@@ -153,7 +153,7 @@ def _is_finite(text: str) -> bool:
         return True
 
 
-class _Copy(XmlHandler):
+class _ElementCopy(XmlHandler):
     """Writes the elements that it is given by a parser, if they are known."""
 
     def __init__(self, path: Path, target: BinaryIO) -> None:

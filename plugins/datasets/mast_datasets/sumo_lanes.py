@@ -25,7 +25,7 @@ _SAME_M = 0.01  # points nearer to each other are the same
 _RED, _YELLOW, _STAND_ONCE = "ru", "yY", "sw"
 
 
-class Lane(NamedTuple):
+class SumoLane(NamedTuple):
     """A lane of a network.
 
     shape: (k, 2) m, k >= 2;  limit: m/s;
@@ -121,7 +121,7 @@ class Way:
         return points, self.speed[rows]
 
 
-def way_from(lane: str, edges: Sequence[str], length_m: float, lane_of: Callable[[str], Lane]) -> Way:
+def way_from(lane: str, edges: Sequence[str], length_m: float, lane_of: Callable[[str], SumoLane]) -> Way:
     """The way that begins with a lane, and leads along edges as far as its lanes do; at a fork elsewhere straight on.
 
     edges: of the car's route, after that of the lane;  length_m: m, at which it may end;  lane_of: by its name

@@ -29,7 +29,7 @@ _KEEP_ROUTE_OR_LEAVE_ROAD = 3
 _NO_LANE_CHANGES = 0
 
 
-class Simulation:
+class RunningSumo:
     """What can be asked of SUMO; all names are SUMO's."""
 
     def __init__(self) -> None:
@@ -142,7 +142,7 @@ def main(descriptor: int) -> None:
     for limit, value in ((resource.RLIMIT_FSIZE, _MAX_OUTPUT), (resource.RLIMIT_AS, _MAX_MEMORY)):
         with contextlib.suppress(OSError, ValueError):  # a lower limit is there already
             resource.setrlimit(limit, (value, value))
-    simulation: Simulation | None = None
+    simulation: RunningSumo | None = None
     while True:
         try:
             method, arguments, limit_s = msgpack.unpackb(pipe.recv_bytes(MAX_MESSAGE), raw=False)
@@ -150,7 +150,7 @@ def main(descriptor: int) -> None:
             break
         signal.alarm(limit_s)  # whose default is to end the process, also within SUMO
         try:
-            simulation = simulation or Simulation()
+            simulation = simulation or RunningSumo()
             answer = True, getattr(simulation, method)(*arguments)
         except Exception as error:
             answer = False, f"{error}"

@@ -72,7 +72,7 @@ class Foe(NamedTuple):
     is_inside: bool
 
 
-class Around(NamedTuple):
+class RightOfWay(NamedTuple):
     """What a car has to wait for: foes at the next junctions, and the states of the links at the ends of some lanes."""
 
     foes: list[Foe]
@@ -94,7 +94,7 @@ class Present:
     angle: Floats
     speed: Floats
     person: Bools
-    around: dict[str, Around]
+    around: dict[str, RightOfWay]
 
 
 class VehicleShape(NamedTuple):
@@ -171,14 +171,14 @@ class SumoSimulation:
         person = np.arange(len(names)) >= len(answer["vehicles"])
         present = Present(names, state[:, :2], state[:, 2], state[:, 3], person, {})
         for car, (foes, signals) in answer["around"].items():
-            present.around[car] = Around([Foe(*foe) for foe in foes], signals)
+            present.around[car] = RightOfWay([Foe(*foe) for foe in foes], signals)
         self._check(present)
         return present
 
-    def around(self, car: str, lanes: Sequence[str]) -> Around:
+    def around(self, car: str, lanes: Sequence[str]) -> RightOfWay:
         """What a car has to wait for. lanes: at whose ends"""
         foes, signals = self._ask("around", _STEP_S, car, list(lanes))
-        return Around([Foe(*foe) for foe in foes], signals)
+        return RightOfWay([Foe(*foe) for foe in foes], signals)
 
     def cars(self, names: Sequence[str]) -> list[Any]:
         """Of each vehicle: lane, m along it, edges of its route, row of the present one, factor, greatest speed m/s."""

@@ -13,7 +13,7 @@ from mast_datasets.files import find_file
 from mast_datasets.sumo_files import read_buildings, type_of_class
 from mast_datasets.sumo_inputs import SumoInputs, read_configuration
 from mast_datasets.sumo_simulation import Present, SumoSimulation
-from mast_datasets.sumo_world import Ride, SumoWorld, Surroundings, Ways
+from mast_datasets.sumo_world import Ride, SumoSurroundings, SumoWorld, Ways
 from mast_datasets.traffic import DataSetScene
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -189,7 +189,7 @@ class SumoTraffic(DataSetScene):
 
     def _surroundings(
         self, inputs: SumoInputs, simulation: SumoSimulation, present: Present, ego: str, ride: Ride
-    ) -> Surroundings:
+    ) -> SumoSurroundings:
         """What does not change: poles and buildings along the ego's way."""
         row = present.names.index(ego)
         yaw = np.radians(90.0 - present.angle[row])
@@ -202,7 +202,7 @@ class SumoTraffic(DataSetScene):
         placed = poles(_NO_BOXES, route, np.append(heading, heading[-1:]), count)
         beside = route + origin
         outlines, heights = read_buildings(inputs.additional, beside, self.radius_m, self.building_height_m)
-        return Surroundings(
+        return SumoSurroundings(
             inputs.path.name.partition(".")[0],
             round(1e9 / self.rate_hz),
             self.radius_m,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mast_datasets.sumo_files import type_of_class
-from mast_datasets.sumo_lanes import HORIZON_M, Lane, Priority, StopLine, Way, way_from
+from mast_datasets.sumo_lanes import HORIZON_M, Priority, StopLine, SumoLane, Way, way_from
 from mast_datasets.sumo_simulation import Move, Present, SumoSimulation
 from mast_zenoh.arrays.geometry import rotation_from_yaw, wrap_angle
 from mast_zenoh.arrays.states import Floats, Ints
@@ -51,7 +51,7 @@ class Ways:
 
     def __init__(self, simulation: SumoSimulation) -> None:
         self._simulation = simulation
-        self._lanes: dict[str, Lane] = {}
+        self._lanes: dict[str, SumoLane] = {}
 
     def keep_lanes(self, vehicle: str, duration_s: float) -> Ride | None:
         """Where a vehicle is going that does not change lanes from now on; None: not for so long."""
@@ -66,15 +66,15 @@ class Ways:
         """The way from a lane on, straight on at forks."""
         return way_from(lane, (), _WAY_M, self._lane)
 
-    def _lane(self, name: str) -> Lane:
+    def _lane(self, name: str) -> SumoLane:
         if name not in self._lanes:
             shape, limit, links = self._simulation.lanes([name])[0]
-            self._lanes[name] = Lane(np.array(shape, np.float64)[:, :2], limit, [tuple(link) for link in links])
+            self._lanes[name] = SumoLane(np.array(shape, np.float64)[:, :2], limit, [tuple(link) for link in links])
         return self._lanes[name]
 
 
 @dataclass(frozen=True, eq=False)
-class Surroundings:
+class SumoSurroundings:
     """What does not change while the traffic moves.
 
     name:    of the scene;  period_ns: ns, between two frames
@@ -94,7 +94,7 @@ class Surroundings:
     sensors: SensorsByAgent
 
 
-class Moment(NamedTuple):
+class TrafficMoment(NamedTuple):
     """The objects of one frame, in the order of their ids, and the rows (c,) of those that are agents."""
 
     boxes: SceneBoxes
@@ -145,7 +145,7 @@ class SumoWorld(SteppedWorld):
         present: Present,
         cars: Mapping[str, str],
         rides: Mapping[str, Ride],
-        surroundings: Surroundings,
+        surroundings: SumoSurroundings,
         *,
         steps: int,
         step_s: float,
@@ -249,7 +249,7 @@ class SumoWorld(SteppedWorld):
                 "expected it to drive on; choose another ego or start_s"
             ) from None
 
-    def moment(self) -> Moment:
+    def moment(self) -> TrafficMoment:
         """What is there in the present frame, around the agents."""
         present, surroundings = self._present, self._surroundings
         shapes = [self._simulation.shapes[name] for name in present.names]
@@ -279,7 +279,7 @@ class SumoWorld(SteppedWorld):
         )
         order = np.flatnonzero(near)
         boxes = boxes.select(order[np.argsort(ids[order])])
-        return Moment(boxes, np.searchsorted(boxes.id, ids[own]))
+        return TrafficMoment(boxes, np.searchsorted(boxes.id, ids[own]))
 
     def _id(self, name: str) -> int:
         """The id of an object: its name if that is a number, and otherwise a digest of it.
@@ -298,7 +298,7 @@ class SumoWorld(SteppedWorld):
             self._ids[name], self._names[number] = number, name
         return self._ids[name]
 
-    def world_of(self, moments: Sequence[Moment]) -> World:
+    def world_of(self, moments: Sequence[TrafficMoment]) -> World:
         """The world of some frames, one after the other."""
         poles, frames = self._surroundings.poles, len(moments)
         columns = ("id", "position", "velocity", "size", "yaw", "class_id")

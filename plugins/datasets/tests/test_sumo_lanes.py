@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mast_datasets.sumo_lanes import HORIZON_M, Lane, Priority, StopLine, way_from
+from mast_datasets.sumo_lanes import HORIZON_M, Priority, StopLine, SumoLane, way_from
 from mast_datasets.sumo_simulation import Foe
 
 #: A street of 100 m to the east, a junction of 10 m, and then 100 m to the east or to the north.
 LANES = {
-    "in_0": Lane(np.array([[0.0, 0.0], [100.0, 0.0]]), 14.0, [("left_0", ":J_1_0", "l"), ("on_0", ":J_0_0", "s")]),
-    ":J_0_0": Lane(np.array([[100.0, 0.0], [110.0, 0.0]]), 14.0, [("on_0", "", "s")]),
-    ":J_1_0": Lane(np.array([[100.0, 0.0], [107.0, 3.0], [110.0, 10.0]]), 14.0, [("left_0", "", "l")]),
-    "on_0": Lane(np.array([[110.0, 0.0], [210.0, 0.0]]), 8.0, []),
-    "left_0": Lane(np.array([[110.0, 10.0], [110.0, 110.0]]), 14.0, [("in_0", "", "s")]),
+    "in_0": SumoLane(np.array([[0.0, 0.0], [100.0, 0.0]]), 14.0, [("left_0", ":J_1_0", "l"), ("on_0", ":J_0_0", "s")]),
+    ":J_0_0": SumoLane(np.array([[100.0, 0.0], [110.0, 0.0]]), 14.0, [("on_0", "", "s")]),
+    ":J_1_0": SumoLane(np.array([[100.0, 0.0], [107.0, 3.0], [110.0, 10.0]]), 14.0, [("left_0", "", "l")]),
+    "on_0": SumoLane(np.array([[110.0, 0.0], [210.0, 0.0]]), 8.0, []),
+    "left_0": SumoLane(np.array([[110.0, 10.0], [110.0, 110.0]]), 14.0, [("in_0", "", "s")]),
 }
 LINE = StopLine(100.0, "in_0", 1, ":J_0_0")
 

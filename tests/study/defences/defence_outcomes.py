@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from mast_zenoh.study.trial import Outcome, Trial
+from mast_zenoh.study.trial import Trial, TrialOutcome
 
 
 def outcome(
     configuration: str, scene: str, seed: int, metrics: dict[str, Any], per_frame: dict[str, Any] | None = None
-) -> Outcome:
+) -> TrialOutcome:
     """A trial; metrics: with the part `defence`."""
     trial = Trial("", configuration, scene, seed, "x", (), None, "inproc", "", ())
-    return Outcome(trial, metrics, per_frame or {})
+    return TrialOutcome(trial, metrics, per_frame or {})

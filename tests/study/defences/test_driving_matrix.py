@@ -16,7 +16,7 @@ import mast_zenoh as mast
 from mast_zenoh.config.scene_names import parse_scene
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity.calibration import refuse_calibration_data
-from mast_zenoh.metrics.study_results import Estimate
+from mast_zenoh.metrics.study_results import SeriesEstimate
 from mast_zenoh.report.compare import as_text
 from mast_zenoh.report.tables.text_table import ResultTables
 from mast_zenoh.study import definition
@@ -217,7 +217,7 @@ def test_the_seeds_or_where_they_are_few_the_scenes_are_the_units_of_intervals()
     """Five scenes with one seed each have the interval of five seeds of one scene; two by two have none."""
     cells = [factors_of("", "", ""), factors_of("queue", "picture", "")]
 
-    def added(scenes: list[str], seeds: int) -> Estimate:
+    def added(scenes: list[str], seeds: int) -> SeriesEstimate:
         collection = collection_of(cells, scenes, range(seeds))
         for number, (scene, seed) in enumerate(product(scenes, range(seeds))):
             collection.add(trial(cells[0], seed, 0, 0, 100.0, scene=scene))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, MOSTLY_ZERO, STUDENT, Measured
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, MOSTLY_ZERO, STUDENT, Statistic
 from mast_zenoh.study.defences import intervals
 from mast_zenoh.study.defences.intervals import kaplan_meier
 from mast_zenoh.study.statistics import trial_estimate
@@ -53,7 +53,7 @@ def test_the_interval_of_rare_misses_contains_the_true_mean_as_often_as_it_says(
         (intervals.rate(0, 0.0, 0), NAN, NAN),
     ],
 )
-def test_an_interval_is_unknown_where_the_spread_of_trials_is(measured: Measured, value: float, low: float) -> None:
+def test_an_interval_is_unknown_where_the_spread_of_trials_is(measured: Statistic, value: float, low: float) -> None:
     assert (measured.value, measured.low) == pytest.approx((value, low), nan_ok=True)
 
 

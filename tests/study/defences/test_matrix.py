@@ -13,7 +13,7 @@ from defence_outcomes import outcome
 from numpy.typing import NDArray
 
 import mast_zenoh as mast
-from mast_zenoh.metrics.study_results import BINOMIAL, POISSON, Measured, Row
+from mast_zenoh.metrics.study_results import BINOMIAL, POISSON, Row, Statistic
 from mast_zenoh.study.defences.choices import by_coverage, honest_majority
 from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import MAX_AGENTS, DefenceMatrix, doubts, is_fault, panel, undefended
@@ -238,7 +238,7 @@ def matrix() -> MatrixTable:
     return collection.table()
 
 
-def measure(matrix: MatrixTable, defence: str, name: str, attack: str = "Ghost", count: int = 1) -> Measured:
+def measure(matrix: MatrixTable, defence: str, name: str, attack: str = "Ghost", count: int = 1) -> Statistic:
     row = matrix.row(defence, attack, count, "worst")
     assert row is not None
     return row.numbers[name]
@@ -430,7 +430,7 @@ def test_a_defence_that_suspends_nobody_has_no_delay_and_no_curve() -> None:
     matrix = collection.table()
     assert (matrix.delays, matrix.not_suspending) == ({}, ["Wall"])
     measured = row_of(matrix).numbers["median_delay_s"]
-    assert measured == Measured(), "not: not reached"
+    assert measured == Statistic(), "not: not reached"
 
 
 def test_the_area_below_one_alarm_per_hour_needs_an_hour() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import optuna
 
-from mast_zenoh.metrics.study_results import Estimate
+from mast_zenoh.metrics.study_results import SeriesEstimate
 from mast_zenoh.study.definition import Configuration, Study, StudyScene
 from mast_zenoh.study.search.objective import parse_objective
 from mast_zenoh.study.search.plan import SEARCHED, SearchPlan
@@ -24,8 +24,8 @@ SPACE = {
 }
 
 
-def estimate(mean: float, half: float = 0.2, seeds: int = 20) -> Estimate:
-    return Estimate(mean, math.nan, mean, mean - half, mean + half, p=0.01, scenes=2, seeds=seeds)
+def estimate(mean: float, half: float = 0.2, seeds: int = 20) -> SeriesEstimate:
+    return SeriesEstimate(mean, math.nan, mean, mean - half, mean + half, p=0.01, scenes=2, seeds=seeds)
 
 
 def results(values: tuple[float, ...] = (2.5, math.nan, 3.25, 3.0, 3.25), *, maximise: bool = True) -> SearchResults:

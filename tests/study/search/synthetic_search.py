@@ -11,7 +11,7 @@ from pathlib import Path
 import synthetic_outcomes
 
 from mast_zenoh.study.execution import RunTrials
-from mast_zenoh.study.trial import Outcome, Trial
+from mast_zenoh.study.trial import Trial, TrialOutcome
 
 STUDY = """
 RANGES = {"false_positives": "0.0..10.0", "fraction_false_negatives": "0.0..1.0"}
@@ -74,7 +74,7 @@ class Synthetic:
 
     @contextmanager
     def workers(self, jobs: int, cluster: str | None) -> Iterator[RunTrials]:
-        def run_trials(trials: Sequence[Trial]) -> Generator[Outcome, None, None]:
+        def run_trials(trials: Sequence[Trial]) -> Generator[TrialOutcome, None, None]:
             for trial in random.Random(jobs).sample(list(trials), len(trials)) if jobs > 1 else trials:
                 if self.interrupt_after is not None and len(self.played) >= self.interrupt_after:
                     raise KeyboardInterrupt
@@ -83,9 +83,9 @@ class Synthetic:
 
         yield run_trials
 
-    def _outcome(self, trial: Trial) -> Outcome:
+    def _outcome(self, trial: Trial) -> TrialOutcome:
         if self.fails == (trial.seed, trial.configuration):
-            return Outcome.failed(trial, "ValueError: no plan")
+            return TrialOutcome.failed(trial, "ValueError: no plan")
         made = synthetic_outcomes.outcome("x", 0, 0, fp=harm(trial))
         return replace(made, trial=trial)
 

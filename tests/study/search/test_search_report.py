@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from rich.console import Console
 from search_samples import BASELINE, DEFAULT, estimate, results, with_rows
 
-from mast_zenoh.metrics.study_results import Estimate
+from mast_zenoh.metrics.study_results import SeriesEstimate
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.study.search import report as search_figures
 from mast_zenoh.study.search.plan import SEARCHED
@@ -143,7 +143,7 @@ def test_without_a_value_of_no_attack_the_figure_shows_the_values_themselves(mon
 
 
 def test_an_interval_that_is_unknown_has_no_bar_and_a_caption_says_why() -> None:
-    few = Estimate(2.75, math.nan, 2.75, scenes=1, seeds=3)
+    few = SeriesEstimate(2.75, math.nan, 2.75, scenes=1, seeds=3)
     made = with_rows(results(), {SEARCHED: SearchRow(SEARCHED, 3.25, few, few, few)})
     figure = search_figures.search_figure(made)
     assert "no bar: fewer than five seeds" in figure.caption

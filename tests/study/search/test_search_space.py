@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.metrics.study_results import Series
+from mast_zenoh.metrics.study_results import StudySeries
 from mast_zenoh.study import numbers
 from mast_zenoh.study.search.objective import parse_objective
 from mast_zenoh.study.search.space import as_text, parse_space, with_values
@@ -93,10 +93,10 @@ def test_an_entry_of_a_parameter_that_is_no_dict_is_refused() -> None:
 
 
 def test_an_objective_names_metric_estimator_and_owner() -> None:
-    assert parse_objective("fn", "p").terms == (Series("", "picture", "fn"),)
-    assert parse_objective("mission/fn", "p").terms == (Series("", "mission", "fn"),)
-    assert parse_objective("infra_1/local/fn", "p").terms == (Series("infra_1", "local", "fn"),)
-    assert parse_objective("defence/false_alarms", "p").terms == (Series("all", "defence", "false_alarms"),)
+    assert parse_objective("fn", "p").terms == (StudySeries("", "picture", "fn"),)
+    assert parse_objective("mission/fn", "p").terms == (StudySeries("", "mission", "fn"),)
+    assert parse_objective("infra_1/local/fn", "p").terms == (StudySeries("infra_1", "local", "fn"),)
+    assert parse_objective("defence/false_alarms", "p").terms == (StudySeries("all", "defence", "false_alarms"),)
     assert parse_objective("fn+ fp", "p").text == "fn + fp"
 
 
