@@ -73,7 +73,7 @@ def wiring() -> Wiring:
         "simulator": endpoints.NodeOptions("simulator", {}, {}, {"clock": "clock"}),
         "ego": endpoints.NodeOptions("agent", {}, {}, {"tracks": "tracks"}),
         "broker": endpoints.NodeOptions("broker", {}, {"tracks": "tracks"}, {}),
-        "link_ego": endpoints.NodeOptions("link", {"agent": "ego"}, link.inputs, link.outputs, link.takes),
+        "link_ego": endpoints.NodeOptions("link", {"agent": "ego"}, link.inputs, link.outputs, forwards=link.forwards),
     }
     return maps.resolve([("benchmark", MAP)], nodes)
 

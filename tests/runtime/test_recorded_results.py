@@ -110,7 +110,7 @@ def test_a_run_without_metrics_is_measured_to_the_end_of_its_recording_and_repor
     frames = metrics["frames"]
     assert 0 < frames < 60
     assert metrics["recording"] == {"frames": frames, "played_frames": 60}
-    notice = f"ends at frame {frames - 1} of 60, so the numbers are of these frames alone"
+    notice = f"holds {frames} of 60 frames: the numbers are of these alone"
     assert notice in terminal.failure(folder)
     terminal.show_run(Console(width=300), folder)
     assert notice in capsys.readouterr().out

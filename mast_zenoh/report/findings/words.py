@@ -58,9 +58,10 @@ def capital(text: str) -> str:
 
 
 def number(value: float, digits: int = 2) -> str:
-    """The size of a number as tables print it, or with more digits if that would be zero."""
+    """The size of a number as tables print it, or with more digits if that would be zero; whole, if no digits count."""
     size = abs(value)
-    return f"{size:.{digits}f}" if size == 0.0 or size >= 0.5 * 10.0**-digits else f"{size:.1g}"
+    whole = not digits or size == 0.0 or size >= 0.5 * 10.0**-digits
+    return f"{size:.{digits}f}" if whole else f"{size:.1g}"
 
 
 def place(run: Run, finding: Finding) -> str:
