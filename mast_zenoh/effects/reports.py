@@ -14,6 +14,7 @@ from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.effects.passages import DELAYED, DROPPED, REFRAMED, REPEATED, RESTAMPED, SLANDERED, UNSETTLED
 from mast_zenoh.effects.table import CODE, EFFECTS, Effects
+from mast_zenoh.links import type_number
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.boxes import Places, find, occurs, pairs_within
 from mast_zenoh.metrics.manipulations import KINDS
@@ -50,13 +51,11 @@ def compare(
     effects: Effects,
     attack_reports: Reports,
     link_reports: Reports,
-    wires: Sequence[str],
     counted: tuple[float, float] = (-np.inf, np.inf),
 ) -> Agreement:
     """Compare the reports of interposers with the measured effects.
 
     attack_reports: columns of messages `attack_report`; link_reports: of messages `link_report`
-    wires: message types by the numbers that link reports use for them
     counted: first frame of the reports that are counted, and the one after the last
     """
     nodes = sorted(
@@ -67,7 +66,7 @@ def compare(
     count, unfounded = np.zeros(len(nodes), np.int64), np.zeros(len(nodes), np.int64)
     for reports, columns, match in (
         (attack_reports, _ATTACK_COLUMNS, partial(_match_attacks, effects, node_row)),
-        (link_reports, _LINK_COLUMNS, partial(_match_links, effects, node_row, wires)),
+        (link_reports, _LINK_COLUMNS, partial(_match_links, effects, node_row)),
     ):
         reported_rows = _concatenate(reports, columns, nodes)
         confirmed = match(reported_rows, reported, label)
@@ -171,7 +170,6 @@ def _complete(events: _Events, matched: Ints, count: int) -> Bools:
 def _match_links(
     effects: Effects,
     node_row: Ints,
-    wires: Sequence[str],
     reported_rows: Mapping[str, NDArray[Any]],
     reported: Bools,
     label: Ints,
@@ -180,9 +178,7 @@ def _match_links(
 
     Returns which of n rows of reports match an effect.
     """
-    other = len(wires)  # links report all other types as one
-    kinds = [wires.index(each.message) if each.message in wires else other for each in effects.passages]
-    message_type = np.array(kinds, np.int64)[effects.passage]
+    message_type = np.array([type_number(each.message) for each in effects.passages], np.int64)[effects.passage]
     confirmed = np.zeros(len(reported_rows["fate"]), bool)
     for fate, names in enumerate(_FATES):
         rows = np.flatnonzero(~effects.whole & np.isin(effects.code, [CODE[name] for name in names]))

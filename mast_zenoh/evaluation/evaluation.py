@@ -24,7 +24,6 @@ from mast_zenoh.evaluation.from_effects import (
 )
 from mast_zenoh.evaluation.run_data import RunData, ego_of
 from mast_zenoh.integrity.base import SUSPENDED
-from mast_zenoh.links import WIRES
 from mast_zenoh.metrics import (
     AttributionLimits,
     Attributor,
@@ -301,7 +300,7 @@ class ScoredFrames:
     def agreement(self, first: float, end: float) -> Agreement:
         """How reports from frame `first` on, before `end`, agree with the effects."""
         data = self.data
-        return reports.compare(self.effects, data.attack_reports, data.link_reports, WIRES, (first, end))
+        return reports.compare(self.effects, data.attack_reports, data.link_reports, (first, end))
 
     def tables(self, first: float, end: float, agreement: Agreement, *, every_series: bool = False) -> dict[str, Table]:
         """The rows of frames from `first` on, before `end`: "objects" and "attacks", with trust those about it.

@@ -316,7 +316,8 @@ def _port_of(node: type[Node], message: str, requested: str | None, place: str, 
         if requested not in matching:
             raise NodeFileError(f"{place}: {side} {requested!r} carries {ports[requested]!r} messages, not {message!r}")
         return requested
-    if (of_type := {"input": message, "output": f"{message}_out"}[side]) in matching:
+    of_type = message if side == "input" else f"{message}_out"
+    if of_type in matching:
         return of_type
     if len(matching) != 1:
         candidates = f"the {side}s {', '.join(matching)}: choose one with --{side}" if matching else f"no {side}"

@@ -159,6 +159,11 @@ def interposers(run: Run) -> tuple[Interposer, ...]:
     return tuple(sorted(result, key=lambda each: (each.is_link, not each.changed and not each.failures)))
 
 
+def hostile(run: Run) -> list[Interposer]:
+    """The interposers that do not model the network."""
+    return [each for each in interposers(run) if not each.is_link]
+
+
 def adversaries_by_agent(all_interposers: tuple[Interposer, ...]) -> dict[str, tuple[str, ...]]:
     """Adversaries by the agent on whose wires, or before which, they sit."""
     result: dict[str, list[str]] = {}

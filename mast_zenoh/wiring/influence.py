@@ -35,6 +35,8 @@ class Influence:
     def __init__(self, wiring: Wiring) -> None:
         self.wires = {wire.key: wire for wire in wiring.wires}
         self._flows = wiring.nodes
+        #: types of messages whose objects say from which agents they come, so that these leave them out
+        self._with_origins = {message for message in {wire.message for wire in wiring.wires} if _has_origins(message)}
         self._outputs: defaultdict[str, list[tuple[str, Wire]]] = defaultdict(list)  # by node: port and wire
         for wire in wiring.wires:
             publisher = wire.legs[0].publisher
@@ -62,7 +64,7 @@ class Influence:
             wire = self.wires[key]
             if frames > sent.get(key, frames):
                 continue
-            left_out = _says_origins(wire.message)
+            left_out = wire.message in self._with_origins
             for end in (*wire.subscribers, *(each.end for each in wire.listeners if not each.source)):
                 if only not in ("", end.node) or (left_out and origin in self._agents_of(end.node)):
                     continue
@@ -85,8 +87,8 @@ class Influence:
         return {agent_of(wire.subject) for _, wire in self._outputs[node]}
 
 
-def _says_origins(message: str) -> bool:
-    """Whether the objects of messages say from which agents they come, so that these leave them out."""
+def _has_origins(message: str) -> bool:
+    """Whether the objects of a type of messages say from which agents they come."""
     schema = SCHEMAS.get(message)
     return schema is not None and any(
         column.name == "origin" and column.shape == ("n", "a") for column in schema.columns

@@ -35,7 +35,7 @@ from mast_zenoh.report.tables.scores import ScoreTable
 from mast_zenoh.run_folder import check_plain, read_json, write_bytes
 from mast_zenoh.runs.events import doubts, states_at, suspensions
 from mast_zenoh.runs.frame import Frame
-from mast_zenoh.runs.interposers import interposers
+from mast_zenoh.runs.interposers import hostile, interposers
 from mast_zenoh.runs.run import Run
 
 _COUNTS_CAPTION = (
@@ -155,18 +155,17 @@ class WiringFigure(RunFigure):
         return draw_wiring(context.run)
 
     def alt(self, context: FigureContext) -> str:
-        places = [f"{each.description} on {each.place}" for each in interposers(context.run) if not each.is_link]
+        places = [f"{each.description} on {each.place}" for each in hostile(context.run)]
         return f"Diagram of the nodes and the data between them. {'; '.join(places) or 'No adversary'}."
 
     def caption(self, context: FigureContext) -> str:
-        on_wires = interposers(context.run)
-        hostile = [each for each in on_wires if not each.is_link]
+        on_wires, adversaries = interposers(context.run), hostile(context.run)
         caption = "Not drawn: clock, truth and attack reports, and lines to an evaluator, a recorder or a visualizer."
-        if hostile:
+        if adversaries:
             caption = f"Bold: intercepted wires. {caption}"
-        if any(each.live is not None for each in hostile):
+        if any(each.live is not None for each in adversaries):
             caption = f"{caption} Nodes with a broken edge were inserted into their wire during the run."
-        if len(hostile) < len(on_wires):
+        if len(adversaries) < len(on_wires):
             caption = f"Brown: wires with a link on them. {caption}"
         return caption
 

@@ -18,7 +18,7 @@ from mast_zenoh.report.findings.causes import culprit_names, matters, reaches
 from mast_zenoh.report.findings.changes import DISPLACED, FALSE, IDENTITY, MISSED, largest_change, scored
 from mast_zenoh.report.findings.finding import Finding
 from mast_zenoh.runs.files import Table, are_in, column, rows
-from mast_zenoh.runs.interposers import BAD, OF_OBJECTS, WITH_COLUMN, Interposer, interposers
+from mast_zenoh.runs.interposers import BAD, OF_OBJECTS, WITH_COLUMN, Interposer, hostile, interposers
 from mast_zenoh.runs.run import Run
 from mast_zenoh.wiring.model import peer_of
 
@@ -28,11 +28,6 @@ _MOST_SENDERS = 2
 _WORDS = {"reframed": "changed outside their objects"}
 #: Lidar points with which an agent detects an object, as in `seen_by_others` of targets.parquet.
 _MIN_POINTS = 5
-
-
-def hostile(run: Run) -> list[Interposer]:
-    """The interposers that do not model the network."""
-    return [each for each in interposers(run) if not each.is_link]
 
 
 def positions(run: Run) -> list[Finding]:

@@ -11,7 +11,7 @@ from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.findings.changes import DISPLACED, MIN_CULPRIT_SHARE, Change, witnesses_of_withheld
 from mast_zenoh.report.findings.differences import attacking_nodes, other_differences
 from mast_zenoh.report.tables.wiring import all_wires
-from mast_zenoh.runs.interposers import interposers
+from mast_zenoh.runs.interposers import hostile, interposers
 from mast_zenoh.runs.run import Run
 
 #: More adversaries, links or faults than these are counted, not named.
@@ -78,8 +78,8 @@ def culprit_names(run: Run, change: Change, over: Reference | None = None) -> li
     total = sum(change.by.values())
     acting = [
         each.name
-        for each in interposers(run)
-        if each.changed and not each.is_link and (change.estimate != RECEIVED or change.agent in each.agents)
+        for each in hostile(run)
+        if each.changed and (change.estimate != RECEIVED or change.agent in each.agents)
     ]
     measured = [name for name, rows in change.by.most_common() if rows >= MIN_CULPRIT_SHARE * total] or acting
     if over is None:

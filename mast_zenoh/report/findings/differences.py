@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh.runs.interposers import failures_of, interposers
+from mast_zenoh.runs.interposers import failures_of, hostile, interposers
 from mast_zenoh.runs.run import Run
 
 #: Roles of nodes that attack, and of nodes that do not affect results.
@@ -41,8 +41,9 @@ def _settings(run: Run) -> dict[str, Any]:
 
 def attacking_nodes(run: Run) -> frozenset[str]:
     """Adversaries, their coordinators, and all other interposers except links."""
-    hostile = {each.name for each in interposers(run) if not each.is_link}
-    return frozenset(hostile | {name for name in _names(run) if run.role(name) in _HOSTILE})
+    return frozenset(
+        {each.name for each in hostile(run)} | {name for name in _names(run) if run.role(name) in _HOSTILE}
+    )
 
 
 def _differing(here: Any, there: Any, path: str = "", depth: int = -1) -> Iterator[str]:

@@ -7,7 +7,7 @@ import numpy as np
 from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, MISSION, PICTURE, RECEIVED
 from mast_zenoh.report.comparison import Reference, of_errors
 from mast_zenoh.report.findings import changes
-from mast_zenoh.report.findings.adversaries import hostile, period, positions
+from mast_zenoh.report.findings.adversaries import period, positions
 from mast_zenoh.report.findings.cars import drives
 from mast_zenoh.report.findings.causes import causes
 from mast_zenoh.report.findings.changes import DISPLACED, ERRORS, FALSE, IDENTITY, MISSED, NOTHING, Change, scored
@@ -15,7 +15,7 @@ from mast_zenoh.report.findings.differences import attacking_nodes, other_differ
 from mast_zenoh.report.findings.finding import Finding
 from mast_zenoh.run_folder.recording import churn
 from mast_zenoh.runs.files import Table, rows
-from mast_zenoh.runs.interposers import failures_of, interposers, n_failed_frames
+from mast_zenoh.runs.interposers import failures_of, hostile, interposers, n_failed_frames
 from mast_zenoh.runs.run import Run
 
 

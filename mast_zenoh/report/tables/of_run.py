@@ -14,7 +14,7 @@ from mast_zenoh.report.findings.finding import Finding
 from mast_zenoh.report.tables.pictures import exceeds
 from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable
 from mast_zenoh.runs.events import doubts, suspensions
-from mast_zenoh.runs.interposers import interposers
+from mast_zenoh.runs.interposers import hostile
 from mast_zenoh.runs.run import Run
 from mast_zenoh.tracking.base import OVERCONFIDENT
 
@@ -31,10 +31,10 @@ _ACHIEVED = (
 def achieved_table(run: Run, limits: Sequence[Finding] = ()) -> PageTable:
     """A line per interposer other than links, and a total if there are several; no lines if nothing was measured.
 
-    limits: reasons for limited effects; who has one has a line
+    limits: reasons for limited effects, of interposers that have a line even if nothing was measured
     """
     achieved: Mapping[str, Mapping[str, Any]] = run.files.summary.get("achieved", {})
-    names = [each.name for each in interposers(run) if not each.is_link]
+    names = [each.name for each in hostile(run)]
     centre = [name for name in names if reaches(run, name, PICTURE)]
     limited = {name for each in limits for name in each.who}
     names = [name for name in names if name in achieved or name in limited]
