@@ -16,7 +16,8 @@ from mast_ros2.definitions import DEFINITIONS
 from ros2_keys import parse_data_key
 from ros2_messages import random_message
 
-ROOT = Path(__file__).parents[3]
+HERE = Path(__file__).parent
+ROOT = HERE.parents[2]
 PYTHON = ROOT / ".venv/ros2/bin/python"
 
 #: What the wheels of ROS 2 have, of the types that are used here.
@@ -41,7 +42,7 @@ def payloads(type_name: str) -> list[bytes]:
 
 def of_session() -> list[tuple[str, bytes]]:
     """Type and payload of the messages that the bridge sent in the recorded session, of these types."""
-    sent = json.loads((ROOT / "tests/viewer/ros2_golden_session.json").read_text())["messages"]
+    sent = json.loads((HERE / "ros2_golden_session.json").read_text())["messages"]
     typed = [(parse_data_key(each["key"]).type_name, zlib.decompress(b64decode(each["payload"]))) for each in sent]
     return [(name, payload) for name, payload in typed if name in OF_ROS]
 
@@ -57,7 +58,7 @@ def answer() -> dict[str, Any]:
         "hashes": list(OF_ROS),
         "definitions": DEFINED,
     }
-    command = [str(PYTHON), str(ROOT / "tests/support/ros2_itself.py")]
+    command = [str(PYTHON), str(HERE / "ros2_itself.py")]
     done = subprocess.run(command, input=json.dumps(request), capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
     result: dict[str, Any] = json.loads(done.stdout)
