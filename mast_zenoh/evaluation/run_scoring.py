@@ -25,13 +25,13 @@ from mast_zenoh.evaluation.driven import DrivenCars
 from mast_zenoh.evaluation.evaluation import Earlier, Evaluation, ScoredFrames, by_agent, own_pictures
 from mast_zenoh.evaluation.from_effects import first_change
 from mast_zenoh.evaluation.run_data import RunData
-from mast_zenoh.metrics import FrameMetric, MessageMetric, RunMetric, Table, achievement, causes_of, driving
+from mast_zenoh.metrics import FrameMetric, RunMetric, Table, achievement, causes_of, driving
 from mast_zenoh.metrics.achievement import Manipulated
 from mast_zenoh.metrics.causes import CauseCounts, cause_counts
 from mast_zenoh.metrics.consistency import PairDeviations, counts, deviations
 from mast_zenoh.metrics.driving import Drive
 from mast_zenoh.metrics.judged_estimate import Estimate, EstimateColumns, estimates_of
-from mast_zenoh.metrics.measures import MEASURES, ScoredRun, frame_keys, measured
+from mast_zenoh.metrics.measures import MEASURES, ScoredRun, described, frame_keys, measured
 from mast_zenoh.metrics.pictures import (
     consistency_of_pictures,
     deceived_agents,
@@ -324,6 +324,7 @@ class RunScoring:
                 "picture_age_s": data.picture_age_s(frames[scored].tolist()),
                 "latency_ms": {"sim_to_picture": data.latency_percentiles_ms()},
                 **({"messages": self._of_messages()} if data.measured else {}),
+                **({"own_metrics": described(settings.metrics)} if settings.metrics else {}),
                 "frames_per_second": 1e9 / times[1] if {0, 1} <= times.keys() else None,
                 **(self._integrity(joined) if data.trust else {}),
                 **(self._pictures(consistency) if len(pictures) > 1 else {}),
@@ -352,7 +353,7 @@ class RunScoring:
         """The summary by agent and estimator, the table per frame, and errors of user-defined metrics by name."""
         scores = joined.scores
         run = JoinedRun(scores, scored, joined.estimates(self.data.period_s), joined=joined)
-        own = [metric for metric in self.settings.metrics if not isinstance(metric, MessageMetric)]
+        own = [metric for metric in self.settings.metrics if isinstance(metric, (FrameMetric, RunMetric))]
         summary, columns, failed = measured([*MEASURES.values(), *own], run)
         causes = causes_of(joined.causes(), sum(block.counted for block in self._blocks))
         for (agent, estimator), row in scores.every_series.items():

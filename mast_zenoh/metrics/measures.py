@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -75,8 +75,8 @@ class Measured(NamedTuple):
     frames: NDArray[Any] | None = None
 
 
-class Measure(ABC):
-    """Base class of all metrics.
+class Quantity:
+    """What a metric is called and how its values are shown.
 
     name:    its key in metrics.json and metrics.parquet; by default the class's, in lower case with underscores
     unit:    of its values
@@ -86,26 +86,30 @@ class Measure(ABC):
     """
 
     name: ClassVar[str] = ""
-    unit: ClassVar[str] = ""
+    unit: str = ""
     heading: str = ""
     short: ClassVar[str] = ""
     axis: ClassVar[str] = ""
-    digits: ClassVar[int] = 2
+    digits: int = 2
     brief: ClassVar[bool] = True
-    whole: ClassVar[bool] = False
-    range: ClassVar[tuple[float, float]] = (-math.inf, math.inf)
+    whole: bool = False
+    range: tuple[float, float] = (-math.inf, math.inf)
 
     @property
     def label(self) -> str:
         """Name of the metric in tables."""
         return self.name or label_of(type(self))
 
+
+class Measure(Quantity, ABC):
+    """Base class of the metrics of estimates."""
+
     @abstractmethod
     def measured(self, run: ScoredRun) -> Measured:
         """Its values for each of `run.scores.series`, plain or None (undefined)."""
 
 
-def label_of(cls: type[Measure]) -> str:
+def label_of(cls: type[Quantity]) -> str:
     """Name in tables of the metrics of a class."""
     return cls.name or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__).lower()
 
@@ -326,42 +330,71 @@ COLUMNS = (
 )
 
 
-class StoredMeasure(Measure):
-    """A metric of which only the values are known, such as a user's in a run folder."""
+class StoredMetric(Quantity):
+    """A user's metric of which the values are known, and what `described` says about it.
 
-    def __init__(self, key: str) -> None:
+    key: its name;  about: of metrics.json, by the names of attributes; empty for a run of before 0.1
+    """
+
+    def __init__(self, key: str, about: Mapping[str, Any]) -> None:
         self.key = key
-        self.heading = key.replace("_", " ")
+        self.unit = str(about.get("unit", ""))
+        self.digits, self.whole = int(about.get("digits", self.digits)), bool(about.get("whole", self.whole))
+        self.range = range_of(about)
+        self.heading = str(about.get("heading", "")) or key.replace("_", " ") + (f" ({self.unit})" * bool(self.unit))
 
     @property
     def label(self) -> str:
         return self.key
 
-    def measured(self, run: ScoredRun) -> Measured:
-        raise NotImplementedError
+
+def described(metrics: Sequence[Metric]) -> dict[str, dict[str, Any]]:
+    """What readers of metrics.json need to show users' metrics: heading, unit, digits, whole and range by name.
+
+    Bounds that are infinite are None.
+    """
+    return {
+        each.label: {
+            "heading": each.heading,
+            "unit": each.unit,
+            "digits": each.digits,
+            "whole": each.whole,
+            "range": [bound if math.isfinite(bound) else None for bound in each.range],
+        }
+        for each in metrics
+    }
 
 
-def measure_named(key: str) -> Measure:
-    """Our metric of this name, or what is known of a user's."""
-    return MEASURES.get(key) or StoredMeasure(key)
+def own_metrics(summaries: Iterable[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """What `described` says in metrics.json of runs."""
+    return {name: about for each in summaries for name, about in each.get("own_metrics", {}).items()}
 
 
-class Metric(Measure):
-    """Base class of user-defined metrics; subclass FrameMetric or RunMetric instead.
+def range_of(about: Mapping[str, Any]) -> tuple[float, float]:
+    """Smallest and largest possible value of a metric that `described` describes; infinite: unknown."""
+    low, high = about.get("range", (None, None))
+    return -math.inf if low is None else low, math.inf if high is None else high
+
+
+def metric_named(key: str, own: Mapping[str, Mapping[str, Any]]) -> Quantity:
+    """Our metric of this name, or what is known of a user's.
+
+    own: `own_metrics` of metrics.json, see `described`
+    """
+    return MEASURES.get(key) or StoredMetric(key, own.get(key, {}))
+
+
+class Metric(Quantity):
+    """Base class of user-defined metrics; subclass FrameMetric, RunMetric or MessageMetric instead.
 
     The class is in a scenario's file or in a file next to it, and named in the scenario:
     `evaluator=dict(metrics=[dict(type="MyMetric")])`.
 
-    name: name in tables; by default the class's, in lower case with underscores
-    unit: of its values, for readers of the class; tables and figures do not print it
+    name:   name in tables; by default the class's, in lower case with underscores
+    unit:   of its values, in the headings of tables
+    digits: decimals in tables;  whole: whether its values are whole numbers
+    range:  smallest and largest possible value, which bound the intervals of studies
     """
-
-    @abstractmethod
-    def value(self, estimate: Estimate) -> Floats | float | None:
-        """Values (f,), one per frame, or a single one for the run.
-
-        Raises ValueError for anything else.
-        """
 
 
 class InvalidMetricValue(ValueError):
@@ -372,7 +405,7 @@ class InvalidMetricValue(ValueError):
         self.about = about
 
 
-class FrameMetric(Metric):
+class FrameMetric(Metric, Measure):
     """A metric with a value in every frame.
 
     Its mean and standard deviation are over the scored frames.
@@ -386,6 +419,7 @@ class FrameMetric(Metric):
         return _means(run.values(self), run.counts)
 
     def value(self, estimate: Estimate) -> Floats:
+        """`per_frame`, checked. Raises InvalidMetricValue for anything but (f,) numbers."""
         returned = self.per_frame(estimate)
         try:
             values = np.asarray(returned, np.float64)
@@ -406,7 +440,7 @@ def _describe(returned: object) -> str:
     return type(returned).__name__ if first is None else f"a {type(returned).__name__} of {type(first).__name__}"
 
 
-class RunMetric(Metric):
+class RunMetric(Metric, Measure):
     """A metric with one value for the whole run."""
 
     @abstractmethod
@@ -417,6 +451,7 @@ class RunMetric(Metric):
         return Measured([self.value(estimate) for estimate in run.estimates])
 
     def value(self, estimate: Estimate) -> float | None:
+        """`per_run`, checked; None: undefined. Raises InvalidMetricValue for anything but a number or None."""
         value = self.per_run(estimate)
         if value is not None and not isinstance(value, (int, float, np.floating, np.integer)):
             name = type(self).__name__
@@ -425,7 +460,7 @@ class RunMetric(Metric):
         return None if value is None or not math.isfinite(value) else float(value)
 
 
-class MessageMetric(Metric):
+class MessageMetric(Metric, ABC):
     """A metric of the messages of one type, on every wire that carries them, as they are sent.
 
     message: their type
@@ -441,12 +476,6 @@ class MessageMetric(Metric):
 
         frame: that it is about; subject: the names in the key of its wire; body: its columns, which cannot be changed
         """
-
-    def measured(self, run: ScoredRun) -> Measured:
-        return _undefined(self, run.scores)  # it is none of estimates
-
-    def value(self, estimate: Estimate) -> None:
-        return None
 
 
 def check(metrics: Sequence[Metric], known: Sequence[str] = COLUMNS) -> None:

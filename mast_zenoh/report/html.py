@@ -15,7 +15,7 @@ from urllib.parse import quote
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from mast_zenoh.metrics.estimates import ESTIMATES
+from mast_zenoh.metrics.estimates import column_name
 from mast_zenoh.metrics.study_results import StudyFacts, StudyRow, plural
 from mast_zenoh.report import comparison
 from mast_zenoh.report.comparison import Reference
@@ -57,6 +57,7 @@ from mast_zenoh.report.tables.of_run import (
     driven_table,
     driving_table,
     latency_tables,
+    message_table,
     nees_table,
     suspension_table,
     undecided_table,
@@ -348,6 +349,7 @@ def _write_run(
         "figures": figures,
         "user_figures": own,
         **(_score_rows(scores) if run.files.summary else {"rows": []}),
+        "messages": message_table(run),
         "confidence": confidence_tables(run),
         "pictures": picture_table(run),
         "of_pictures": text(run, of_pictures(run)),
@@ -418,7 +420,7 @@ def _score_rows(table: ScoreTable) -> dict[str, Any]:
         over = signed(row.over_alone, row.measure), spread(row.over_alone), None
         rows.append((row.measure.heading, row.run, [*cells, over]))
     return {
-        "estimates": [ESTIMATES[name].column for name in table.estimates],
+        "estimates": [column_name(name) for name in table.estimates],
         "rows": rows,
         "runs": len(table.runs),
         "reference": table.reference,

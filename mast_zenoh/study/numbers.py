@@ -52,8 +52,8 @@ _COLUMNS = {
 class Number(NamedTuple):
     """One number of one run.
 
-    owner:     the agent; of an achievement, the adversary, or "all" for all of them; of a defence, "all"; the column
-               `who`
+    owner:     the agent; of an achievement, the adversary, or "all" for all of them; of a defence, "all"; of messages,
+               their wire; the column `who`
     estimator: "local", "picture", "mission", …; ACHIEVED for achievements, DEFENCE for the defence, DRIVEN for what
                happened to a driven car
     metric:    its name; names of nested blocks are joined by dots: "fn_split.attack", "driving.braking_s"
@@ -97,11 +97,11 @@ def own_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
 def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
     """The numbers of metrics.json, in file order.
 
-    Those below `agents`, `driving`, `driven`, `achieved`, `pictures`, `channel` and `integrity`. `null` becomes NaN,
-    true and false become 1 and 0. Of lists of a driven car, such as its collisions, their length counts. Other values
-    are skipped. Every cause in `causes` gets a number of objects per frame, "fp inserted", even if it does not occur.
-    "driving.critical" shows whether the minimum time to collision is below CRITICAL_S; every trial has it. These blocks
-    hold no wall-clock times, so all numbers depend on scenario and seed alone.
+    Those below `agents`, `driving`, `driven`, `achieved`, `messages`, `pictures`, `channel` and `integrity`. `null`
+    becomes NaN, true and false become 1 and 0. Of lists of a driven car, such as its collisions, their length counts.
+    Other values are skipped. Every cause in `causes` gets a number of objects per frame, "fp inserted", even if it does
+    not occur. "driving.critical" shows whether the minimum time to collision is below CRITICAL_S; every trial has it.
+    These blocks hold no wall-clock times, so all numbers depend on scenario and seed alone.
     """
     first, last = scored_frames(metrics)
     frames = last - first + 1
@@ -120,6 +120,8 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
         yield from _flatten(car, DRIVEN, (), counted, frames)
     for adversary, content in metrics.get(ACHIEVED, {}).items():
         yield from _flatten(adversary, ACHIEVED, (), content, frames)
+    for wire, content in metrics.get("messages", {}).items():
+        yield from _flatten(wire, "messages", (), content, frames)
     for block in COOPERATION:
         yield from _flatten("all", block, (), metrics.get(block, {}), frames)
     if metrics.get("integrity"):

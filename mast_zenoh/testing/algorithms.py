@@ -22,7 +22,7 @@ from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView
 from mast_zenoh.integrity.base import problem_of
 from mast_zenoh.integrity.views import UNKNOWN_SPACE
 from mast_zenoh.metrics.judged_estimate import Estimate
-from mast_zenoh.metrics.measures import FrameMetric, Metric
+from mast_zenoh.metrics.measures import FrameMetric, RunMetric
 from mast_zenoh.pipelines import AgentPipeline, MissionEstimator, Pipeline, Pose
 from mast_zenoh.sensing import LidarSensor, to_sensor
 from mast_zenoh.testing import samples
@@ -492,7 +492,7 @@ def _check_tampering(subject: str, tampering: Tampering, objects: ObjectStates) 
 # -- metrics -----------------------------------------------------------------------------------------------------------
 
 
-def check_metric(metric: Metric) -> None:
+def check_metric(metric: FrameMetric | RunMetric) -> None:
     """Check that a metric has a value for zero, one and 1000 boxes, in any order.
 
     Raises AssertionError.
@@ -507,7 +507,7 @@ def check_metric(metric: Metric) -> None:
             )
 
 
-def _check_value(metric: Metric, subject: str, estimate: Estimate) -> None:
+def _check_value(metric: FrameMetric | RunMetric, subject: str, estimate: Estimate) -> None:
     try:
         with unchanged(subject, estimate=estimate):
             value = metric.value(estimate)

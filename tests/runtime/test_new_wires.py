@@ -14,6 +14,11 @@ import pytest
 import mast_zenoh as mast
 from mast_zenoh.errors import WiringError
 from mast_zenoh.report.findings.adversaries import limits
+from mast_zenoh.report.tables.of_run import message_table
+from mast_zenoh.report.tables.scores import score_table
+from mast_zenoh.report.tables.text_table import DASH
+from mast_zenoh.runs.run import Run
+from mast_zenoh.study.numbers import numbers
 
 INTENTS = """
 [[wire]]
@@ -107,9 +112,11 @@ class Cheat(PassThrough):
 
 
 class Price(MessageMetric):
-    """Price, EUR."""
+    """Price."""
 
     message = "offer"
+    unit = "EUR"
+    range = (0.0, float("inf"))
 
     def per_message(self, frame, subject, body):
         return body["price"][0] if subject == "north" else None
@@ -296,3 +303,20 @@ def test_links_adversaries_and_metrics_act_on_a_message_type_of_the_users_own() 
     assert effects["cable"]["wires"] == ["shop/north/offer", "shop/south/offer"]
     assert run.summary["messages"]["shop/north/offer"]["price"] == {"mean": 10.0, "std": 0.0}, "as it was sent"
     assert run.summary["messages"]["shop/south/offer"]["price"] == {"mean": None, "std": None}
+
+
+def test_estimates_and_metrics_of_ones_own_are_in_the_tables_with_their_units() -> None:
+    run = played("offers.py")
+    described = {"heading": "", "unit": "EUR", "digits": 2, "whole": False, "range": [0.0, None]}
+    assert run.summary["own_metrics"] == {"price": described}
+    lines = [line.cells for line in message_table(Run(run.path)).lines]
+    assert lines == [
+        ("shop/north/offer", "price (EUR)", "10.00", "0.00"),
+        ("shop/south/offer", "price (EUR)", DASH, DASH),
+    ]
+    of_study = [each[:4] for each in numbers(run.summary) if each.metric == "price"]
+    assert ("shop/north/offer", "messages", "price", 10.0) in of_study
+    summary = played("intents.py", wires="fuse").summary
+    table = score_table({"run": summary})
+    assert table.estimates[-1] == "intents"
+    assert table.cell("tp", "run", "intents").value.mean == summary["agents"]["ego"]["intents"]["tp"]["mean"]

@@ -11,8 +11,8 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from mast_zenoh.metrics import ATTACK_CAUSES, CAUSES, DEFENCE_CAUSES, FAULT_CAUSES
-from mast_zenoh.metrics.estimates import ESTIMATES, OWN
-from mast_zenoh.metrics.measures import measure_named
+from mast_zenoh.metrics.estimates import OWN, column_name
+from mast_zenoh.metrics.measures import metric_named, own_metrics
 from mast_zenoh.report.figures.style import Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import HATCH, bands, fault_legend, padded, rows_over_time, shade
 from mast_zenoh.report.findings.changes import scored
@@ -56,8 +56,9 @@ def counts_over_time(
     extent = min(at[0] for at in line_times), max(at[-1] for at in line_times)
     figure, axes = rows_over_time(len(columns), 1.66 if len(columns) > 1 else 3.0, marked, *extent)
     attacked = [times(run, np.array(run.attack_frames)) for run in runs.values() if run.attack_frames]
+    described = own_metrics(run.files.summary for run in runs.values())
     for axis, column in zip(axes, columns, strict=True):
-        measure = measure_named(column)
+        measure = metric_named(column, described)
         light_axes(axis)
         shade(axis, marked, *extent)
         if attacked:
@@ -107,12 +108,14 @@ def _lines(runs: Mapping[str, Run], estimate: str) -> list[tuple[str, Run, Table
     if len(runs) == 1:
         names = [name for name in shown_estimates([first.files.summary], first.ego or "") if name not in OWN]
         for index, name in enumerate(names):
-            line_style = _LineStyle(RUN_COLOURS[index], _STYLES[index], 2.4 if name == "picture" else 1.6)
-            lines.append((ESTIMATES[name].column, first, first.counts_of(name), line_style))
+            line_style = _LineStyle(
+                RUN_COLOURS[index % len(RUN_COLOURS)], _STYLES[index % len(_STYLES)], 2.4 if name == "picture" else 1.6
+            )
+            lines.append((column_name(name), first, first.counts_of(name), line_style))
     else:
         for index, (label, run) in enumerate(runs.items()):
             line_style = _LineStyle(RUN_COLOURS[index % len(RUN_COLOURS)], _STYLES[index % len(_STYLES)])
-            lines.append((f"{ESTIMATES[estimate].column}, {label}", run, run.counts_of(estimate), line_style))
+            lines.append((f"{column_name(estimate)}, {label}", run, run.counts_of(estimate), line_style))
     return [(name, run, counts, line_style) for name, run, counts, line_style in lines if counts is not None]
 
 

@@ -9,9 +9,11 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE, TRUTH, subject_of
+from mast_zenoh.metrics.measures import metric_named
 from mast_zenoh.report.findings.causes import reaches
 from mast_zenoh.report.findings.finding import Finding
 from mast_zenoh.report.tables.pictures import exceeds
+from mast_zenoh.report.tables.scores import Value, number
 from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable
 from mast_zenoh.runs.events import doubts, suspensions
 from mast_zenoh.runs.interposers import hostile
@@ -58,6 +60,42 @@ def _achieved(name: str, each: Mapping[str, Any], *, in_picture: bool) -> Line:
     hidden = number("hidden"), both("hidden_share", "{:.0%}")
     moved = number("moved"), both("moved_error_m", "{:.2f}")
     return Line((name, *inserted, *hidden, *moved, both("first_success_s", "{:.1f}"), both("id_switches", "{}")))
+
+
+_MESSAGES = (
+    Head("wire", kind="text"),
+    Head("metric", kind="text"),
+    *(Head("mean"), Head("standard\ndeviation")),
+)
+MESSAGES_TITLE = "Your metrics of messages"
+
+
+def message_table(run: Run) -> PageTable:
+    """A line per wire and metric of a user's of its messages; no lines without such metrics."""
+    described = run.files.summary.get("own_metrics", {})
+    lines = []
+    for wire, metrics in run.files.summary.get("messages", {}).items():
+        for name, value in metrics.items():
+            metric, shown = metric_named(name, described), Value.of(value)
+            deviation = DASH if shown.std is None else f"{shown.std:.{metric.digits}f}"
+            lines.append(Line((wire, metric.heading, number(shown, metric), deviation)))
+    return PageTable(_MESSAGES, lines)
+
+
+def messages_as_rich(run: Run) -> Table | None:
+    """The same for the terminal, without the wires of agents but the ego; None: there are none."""
+    source, others = message_table(run), {*run.agents} - {run.ego}
+    lines = [line.cells for line in source.lines if others.isdisjoint(line.cells[0].split("/"))]
+    if not lines:
+        return None
+    left_out = f"; {len(source.lines) - len(lines)} of other agents are in the report"
+    title = MESSAGES_TITLE + left_out * (len(lines) < len(source.lines))
+    table = Table(title=title, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for head in _MESSAGES:
+        table.add_column(head.text.replace("\n", " "), justify="left" if head.kind == "text" else "right")
+    for cells in lines:
+        table.add_row(*cells)
+    return table
 
 
 _NEES_QUANTITIES = {"position": "positions", "velocity": "velocities"}

@@ -13,8 +13,16 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Group
 from rich.table import Table
 
-from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MAIN, PICTURE, PICTURE_ON_ARRIVAL, PICTURE_RECEIVED
-from mast_zenoh.metrics.measures import COLUMNS, MEASURES, Measure, measure_named
+from mast_zenoh.metrics.estimates import (
+    LOCAL,
+    MAIN,
+    PICTURE,
+    PICTURE_ON_ARRIVAL,
+    PICTURE_RECEIVED,
+    column_name,
+    rank_of,
+)
+from mast_zenoh.metrics.measures import COLUMNS, MEASURES, Quantity, metric_named, own_metrics
 from mast_zenoh.report.tables.text_table import DASH
 
 
@@ -47,7 +55,7 @@ class ScoreRow:
     over_alone: the picture's increment over the ego alone (IoE)
     """
 
-    measure: Measure
+    measure: Quantity
     run: str
     cells: Mapping[str, Cell]
     over_alone: Value
@@ -57,7 +65,7 @@ class ScoreRow:
 class ScoreTable:
     """The rows by metric, then by run.
 
-    estimates: that have a column, keys of ESTIMATES
+    estimates: that have a column, in the order of ESTIMATES
     runs:      labels, in order
     reference: the run that changes are over; None: there is none
     """
@@ -104,7 +112,7 @@ def score_table(
         if table is not None and label in metrics
     }
     rows = []
-    for measure in measures(scores.values()):
+    for measure in measures(scores.values(), own_metrics(metrics.values())):
         for label, run_scores in scores.items():
             reference_scores = scores[reference] if reference not in (None, label) else {}
             spread = series.get(label, {}), series.get(reference or "", {})
@@ -112,7 +120,7 @@ def score_table(
                 name: Cell(
                     value, _difference(value, _value(reference_scores, name, measure), spread, (name, name), measure)
                 )
-                for name in ESTIMATES
+                for name in run_scores
                 if (value := _value(run_scores, name, measure)) is not None
             }
             alone = cells[LOCAL].value if LOCAL in cells else None
@@ -123,14 +131,19 @@ def score_table(
     return ScoreTable(tuple(rows), shown_estimates(metrics.values(), agent), tuple(metrics), reference)
 
 
-def measures(scores: Iterable[Mapping[str, Mapping[str, Any]]]) -> list[Measure]:
-    """The metrics of runs: our own, then the user-defined ones that any of them has."""
+def measures(
+    scores: Iterable[Mapping[str, Mapping[str, Any]]], described: Mapping[str, Mapping[str, Any]]
+) -> list[Quantity]:
+    """The metrics of runs: our own, then the user-defined ones that any of them has.
+
+    described: `own_metrics` of metrics.json
+    """
     own = [name for of_run in scores for of_one in of_run.values() for name in of_one if name not in COLUMNS]
-    return [*MEASURES.values(), *map(measure_named, dict.fromkeys(own))]
+    return [*MEASURES.values(), *(metric_named(name, described) for name in dict.fromkeys(own))]
 
 
 def shown_estimates(metrics: Iterable[Mapping[str, Any]], agent: str) -> tuple[str, ...]:
-    """Estimates with a column: those in MAIN, and any that differ from all others."""
+    """Estimates with a column: those in MAIN, and any that differ from all others, also those of a user's own wires."""
     names = set(MAIN)
     for summary in metrics:
         same = summary.get("same_as", {}).get(agent, {})
@@ -138,10 +151,10 @@ def shown_estimates(metrics: Iterable[Mapping[str, Any]], agent: str) -> tuple[s
         if same.get(PICTURE_RECEIVED) == PICTURE_ON_ARRIVAL:  # nothing was late: the cause is what was received
             own = own - {PICTURE_ON_ARRIVAL} | {PICTURE_RECEIVED}
         names |= own
-    return tuple(name for name in ESTIMATES if name in names)
+    return tuple(sorted(names, key=rank_of))  # those of wires of a user's own last
 
 
-def _value(scores: Mapping[str, Any], estimate: str, measure: Measure) -> Value | None:
+def _value(scores: Mapping[str, Any], estimate: str, measure: Quantity) -> Value | None:
     """None: the run does not have the estimate."""
     return Value.of(scores[estimate].get(measure.label)) if estimate in scores else None
 
@@ -151,11 +164,10 @@ def _scored(counts: Counts, metrics: Mapping[str, Any], agent: str) -> dict[str,
     first, last = metrics.get("scored_frames") or (-np.inf, np.inf)
     selected = (counts["agent"] == agent) & (counts["frame"] >= first) & (counts["frame"] <= last)
     result = {}
-    for estimate in ESTIMATES:
+    for estimate in dict.fromkeys(counts["estimator"][selected].tolist()):
         rows = np.flatnonzero(selected & (counts["estimator"] == estimate))
         rows = rows[np.argsort(counts["frame"][rows], kind="stable")]
-        if len(rows):
-            result[estimate] = {name: column[rows] for name, column in counts.items()}
+        result[estimate] = {name: column[rows] for name, column in counts.items()}
     return result
 
 
@@ -164,7 +176,7 @@ def _difference(
     other: Value | None,
     series: tuple[Mapping[str, Counts], Mapping[str, Counts]],
     estimates: tuple[str, str],
-    measure: Measure,
+    measure: Quantity,
 ) -> Value:
     """`value` minus `other`, with the deviation over common frames if known."""
     if other is None or value.mean is None or other.mean is None:
@@ -184,12 +196,12 @@ def _difference(
     return Value(value.mean - other.mean, std)
 
 
-def number(value: Value, measure: Measure) -> str:
+def number(value: Value, measure: Quantity) -> str:
     """A value as text; a dash for what is not known."""
     return DASH if value.mean is None else f"{value.mean:.{measure.digits}f}"
 
 
-def signed(value: Value, measure: Measure) -> str:
+def signed(value: Value, measure: Quantity) -> str:
     """A difference as `+1.70` or `\u22120.23`; a dash for what is not known."""
     if value.mean is None:
         return DASH
@@ -217,7 +229,7 @@ def _terminal_table(table: ScoreTable, estimates: Sequence[str], title: str) -> 
     if several:
         result.add_column("run", no_wrap=True)
     for name in estimates:
-        result.add_column(ESTIMATES[name].column, justify="right")
+        result.add_column(column_name(name), justify="right")
     for index, row in enumerate(table.rows):
         if row.measure.brief:
             place = index % len(table.runs)
@@ -250,5 +262,5 @@ def as_markdown(table: ScoreTable) -> str:
 
 
 def _heads(estimate: str, table: ScoreTable) -> Sequence[str]:
-    name = ESTIMATES[estimate].column
+    name = column_name(estimate)
     return (name, f"{name} over {table.reference}") if table.reference else (name,)
