@@ -17,7 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from mast_zenoh.metrics.estimates import column_name
 from mast_zenoh.metrics.study_results import StudyFacts, StudyRow, plural
-from mast_zenoh.report import comparison
+from mast_zenoh.report import comparison, findings
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.drawing import RenderedFigure
 from mast_zenoh.report.figures.of_run import (
@@ -378,6 +378,7 @@ def _write_run(
         "scenario": json.dumps(run.files.scenario, indent=2) if run.files.scenario else None,
         "timings": json.dumps(run.files.record["timings"], indent=2) if run.files.record.get("timings") else None,
     }
+    findings.write(run, reference)
     return content, render("run.html.j2", content, run.path, run.worded)
 
 

@@ -173,7 +173,9 @@ def test_early_false_results_affect_only_the_node_that_sent_them(
     assert late == {f"result/{node}": 1 for node in NODES}, "the honest nodes' results come too late"
     inside = {path.relative_to(finished.folder).parts[0] for path in finished.folder.rglob("*") if path.is_file()}
     ours = {path.relative_to(twin).parts[0] for path in twin.rglob("*") if path.is_file()}
-    assert inside - ours <= {"logs", "report.html", "figures", "results", "metrics.parquet", "checks.json"}
+    assert inside - ours <= {
+        *("logs", "report.html", "findings.json", "figures", "results", "metrics.parquet", "checks.json")
+    }
     for path in finished.folder.rglob(f"*{MARKER}*"):
         assert path.parent.parent == finished.folder / "results", "its own table"
     finished.sound()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 from collections.abc import Callable
 from copy import deepcopy
@@ -546,3 +547,6 @@ def test_a_coordinator_is_named_and_many_adversaries_are_summed_up(run_of: RunOf
     run = run_of("uncoordinated", metrics={"interposers": more}, scenario=boss, run=boss)
     assert [(each.who, each.what) for each in attacks(run) if each.kind == "verdict"] == [(("boss",), "directed")]
     assert "6 more are in the table of interposers." in write_page(run).read_text()
+    written = json.loads((run.path / "findings.json").read_text())
+    assert [each["kind"] for each in written] == [each.kind for each in findings(run)]
+    assert "2 of 4 roadside sensors compromised:" in [each["text"] for each in written]

@@ -9,6 +9,7 @@ cars         what happened to driven cars;  defence  what a defence did, and the
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.report.comparison import Reference, of_errors
@@ -16,6 +17,7 @@ from mast_zenoh.report.findings import adversaries, cars, defence, results
 from mast_zenoh.report.findings.changes import largest_change
 from mast_zenoh.report.findings.finding import Finding
 from mast_zenoh.report.findings.words import names, said, text
+from mast_zenoh.run_folder import finite, write_json
 from mast_zenoh.runs.run import Run
 
 
@@ -37,6 +39,12 @@ def findings(run: Run, reference: Reference | None = None) -> list[Finding]:
         *defence.periods(run),
         *defence.of_pictures(run),
     ]
+
+
+def write(run: Run, reference: Reference | None = None) -> None:
+    """Write `findings.json` into a run's folder: each finding's fields, and `text`, how the page says it."""
+    every = [asdict(each) | {"text": " ".join(said(run, [each]))} for each in findings(run, reference)]
+    write_json(run.path / "findings.json", finite(every))
 
 
 def headline(run: Run, reference: Reference | None = None) -> str:
