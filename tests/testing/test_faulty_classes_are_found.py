@@ -1,7 +1,5 @@
 """Classes that violate their base class are found with a clear message."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every shipped class passes the checks for user-defined classes."""
 
-from __future__ import annotations
-
 import inspect
 import tempfile
 from collections.abc import Callable
@@ -27,6 +25,7 @@ from mast_zenoh import (
     testing,
     tracking,
 )
+from mast_zenoh.attacks import evasion, road_ahead
 from mast_zenoh.config import bundle, loading, plugins, registry
 from mast_zenoh.testing import samples
 from mast_zenoh.testing.simulation import SimulatedWorld, explore
@@ -110,6 +109,18 @@ def test_a_shipped_class_conforms(cls: type, base: type, monkeypatch: pytest.Mon
     CHECKS[base](made(cls, base))
 
 
+@pytest.mark.parametrize(
+    "attack",
+    [
+        road_ahead.HideAhead(what="crossing"),
+        road_ahead.LaneIntrusion(into="neighbour"),
+        evasion.BlindAreaConfusion(action="hide"),
+    ],
+)
+def test_a_shipped_attack_conforms_with_its_other_setting(attack: attacks.Attack) -> None:
+    testing.check_attack(attack)
+
+
 @cache
 def saved() -> Path:
     """A scene in a file, beside it a folder of detections: none at all."""
@@ -153,11 +164,6 @@ def test_an_agents_pipeline_conforms_in_every_frame(frame: str, mission: dict[st
 @pytest.mark.parametrize("file", sorted((bundle.ROOT / "nodes").glob("*.py")), ids=lambda file: file.stem)
 def test_a_shipped_node_conforms(file: Path) -> None:
     testing.check_node(loading.node_class(file))
-
-
-@pytest.mark.parametrize("name", ["uncoordinated", "realistic_network"])
-def test_a_shipped_scenario_is_the_same_in_every_delivery_order(name: str) -> None:
-    testing.check_scenario(name, frames=15, n_infrastructure=2)
 
 
 REALTIME = {"rogue", "sybil", "two_hosts"}

@@ -1,7 +1,5 @@
 """Users simulate worlds of their own, with promises of their own."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 
