@@ -4,8 +4,6 @@ Threat model as in `informed_liars`. Two liars of these kinds claim the same, be
 agent knows: the sensors, the routes, the buildings and the time. They are inputs of tests, not attacks for users.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 
 import numpy as np

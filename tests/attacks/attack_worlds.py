@@ -1,7 +1,5 @@
 """Small worlds of objects for the tests of attacks."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates

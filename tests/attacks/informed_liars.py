@@ -5,8 +5,6 @@ the rules and limits of the defence, the buildings, and the sensors and routes o
 the trust. Its lies are not limited by a budget. They are inputs of tests, not attacks for users.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from dataclasses import replace
 

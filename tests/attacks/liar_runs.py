@@ -1,7 +1,5 @@
 """Short runs with liars among five agents, and the harm that they do."""
 
-from __future__ import annotations
-
 from functools import cache
 from inspect import getfile
 from pathlib import Path

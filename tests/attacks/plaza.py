@@ -1,7 +1,5 @@
 """A plaza without buildings, with sensors on poles that see a full circle, for the tests of attacks."""
 
-from __future__ import annotations
-
 import numpy as np
 from attack_worlds import SECOND
 

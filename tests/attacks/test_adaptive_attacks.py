@@ -1,7 +1,5 @@
 """What adaptive adversaries do on the wires of a run, measured from its messages."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -13,9 +11,6 @@ from tiny_world import Run
 from mast_zenoh import scenario
 from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_world
 from mast_zenoh.arrays.states import Bools, Ints, ObjectStates
-from mast_zenoh.attacks import Surroundings
-from mast_zenoh.attacks.regions import path_ahead
-from mast_zenoh.attacks.surroundings import Coverage
 from mast_zenoh.integrity import SweptView, sightings
 from mast_zenoh.integrity.visibility import TOLERANCES, ray_evidence
 from mast_zenoh.messages.schemas import Message
@@ -107,12 +102,6 @@ def passages(attack: str) -> tuple[Passage, ...]:
             states = world_states(sent), world_states(received)
             result.append(Passage(sent.header.frame, agent, *states, frame_at(true_view), frame_at(claimed)))
     return tuple(result)
-
-
-def surroundings() -> Surroundings:
-    """What the attackers know."""
-    spec = scenario.resolve(*scenario.load("defended"), frames=2).nodes["adversary_1"]
-    return Surroundings(**(dict(spec.config["surroundings"]) | dict(victims=VICTIMS)))
 
 
 def rows_seen(objects: ObjectStates, view: SweptView) -> tuple[Bools, Bools]:
@@ -258,17 +247,6 @@ def test_a_replay_shows_objects_where_they_were() -> None:
     assert told > 50
 
 
-def test_a_ghost_is_in_the_lane_ahead_of_the_ego() -> None:
-    known, told = surroundings(), 0
-    for passage in passages("GhostAhead"):
-        path = path_ahead(Coverage(known, (), passage.frame * PERIOD_S))
-        assert path is not None
-        offset = path.offset(passage.inserted.position)
-        assert np.all(offset < 4.5), "a lane, one metre between samples of the path, and noise"
-        told += len(offset)
-    assert told > 20
-
-
 def test_an_overconfident_agent_moves_all_objects_alike_and_scales_their_covariances() -> None:
     offsets: dict[str, set[tuple[float, ...]]] = {}
     for passage in passages("Overconfidence"):
@@ -298,16 +276,6 @@ def test_colluding_adversaries_insert_the_same_object_and_hide_the_same_ones() -
                 same += distance.min() < 3.0
     assert both > 20
     assert same > 0.9 * both
-
-
-def test_a_shifted_object_stays_within_a_metre_of_its_place() -> None:
-    told = 0
-    for passage in passages("PosePert"):
-        before, after = passage.kept
-        shift = np.linalg.norm(after.position - before.position, axis=1)
-        assert shift.max(initial=0.0) <= 0.7 + 1e-6
-        told += int((shift > 0.6).sum())
-    assert told > 50
 
 
 @pytest.mark.parametrize("attack", ["Mimic", "Sleeper", "Collusion", "PairedDenial", "PretendBenign", "OpenDispute"])

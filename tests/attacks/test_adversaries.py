@@ -1,11 +1,8 @@
 """Adversaries over time: start, consistency and reproducibility."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
-import pytest
 from attack_worlds import ORIGIN, SECOND, at, equal, world
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -116,14 +113,6 @@ def test_the_order_of_the_objects_does_not_matter(order):
     shuffled = drive(UncoordinatedAttack(selection=selection, start_s=1.0), 20, order=np.array(order))
     assert same(straight, shuffled)
     assert np.array_equal(straight[-1].keep[list(order)], shuffled[-1].keep)
-
-
-def test_a_non_positive_interval_is_refused():
-    with pytest.raises(ValueError, match=r"reselect_every_s: found 0\.0"):
-        UncoordinatedAttack(reselect_every_s=0.0)
-
-
-# Coordinated
 
 
 def directive(position, velocity=(0.0, 0.0, 0.0), time_ns=None) -> Targets:

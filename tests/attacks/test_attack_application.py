@@ -1,13 +1,8 @@
 """Insert, hide and displace targets in any row order, and report the changes."""
 
-from __future__ import annotations
-
-import json
-
 import numpy as np
 import pytest
 from attack_worlds import at, equal, world
-from equal_runs import run_alone
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,24 +11,6 @@ from mast_zenoh.attacks import ACTIONS, Targets, alter
 from mast_zenoh.attacks.attack import carry_out
 
 NONE = ObjectStates.empty()
-SHRUNK = """
-import numpy as np
-
-from mast_zenoh.attacks import Attack, alter
-from mast_zenoh.scenario import load
-
-
-class Shrink(Attack):
-    def step(self, frame, time_ns, objects, agent_position, directive=None):
-        claims = objects.with_(size=0.6 * objects.size, yaw=objects.yaw + 0.3)
-        return alter(objects, change=range(len(objects)), claims=claims)
-
-
-def scenario():
-    _, content = load("uncoordinated", n_adversaries=1)
-    content["adversaries"]["adversary_1"]["attack"] = dict(type="Shrink")
-    return content | dict(keyexpr=dict(rewrites=["on_tracks.toml"]))
-"""
 
 
 def targets(add=NONE, remove=NONE, move=NONE, offset=None) -> Targets:
@@ -115,15 +92,6 @@ def test_an_attack_can_change_sizes_headings_and_velocities_of_rows():
 def test_rows_that_do_not_fit_each_other_are_refused(rows, wrong):
     with pytest.raises(ValueError, match=wrong):
         alter(world(5), **rows)
-
-
-def test_changed_sizes_are_measured_and_agree_with_the_report(tmp_path):
-    file = tmp_path / "shrunk.py"
-    file.write_text(SHRUNK)
-    metrics = json.loads((run_alone(tmp_path / "out", str(file), frames=12) / "metrics.json").read_text())
-    of_adversary = metrics["interposers"]["adversary_1"]
-    assert of_adversary["effects"].keys() == {"altered"}
-    assert of_adversary["agreement"] == "agrees"
 
 
 @settings(max_examples=50)

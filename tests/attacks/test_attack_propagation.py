@@ -1,7 +1,5 @@
 """False objects move like real ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from attack_worlds import at, world

@@ -1,7 +1,5 @@
 """Statistics of what adversaries select, independent of the object order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates, concatenate
-from mast_zenoh.attacks import Selection, UncoordinatedAttack, UncoordinatedSelection
-from mast_zenoh.attacks.attack import CoordinatedAttack
-from mast_zenoh.attacks.coordination import Coordinator
+from mast_zenoh.attacks import Selection, UncoordinatedSelection
 from mast_zenoh.attacks.selection import CoordinatedSelection, cluster_centres, ground_height
 from mast_zenoh.streams import stream
 
@@ -136,25 +132,3 @@ def test_clusters_do_not_depend_on_the_order_of_the_tracks(n, sources, random):
     a = cluster_centres(objects, source, 5.0)
     b = cluster_centres(objects.select(order), source[order], 5.0)
     assert equal(a, b)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "place"),
-    [
-        ({"fraction_false_negatives": 1.4}, "fraction_false_negatives: found 1.4, expected 0 to 1"),
-        ({"n_false_positives": -1.0}, "n_false_positives: found -1.0, expected 0 or more"),
-        ({"n_false_positives": 10_001.0}, "n_false_positives: found 10001.0, expected at most"),
-        ({"n_false_positives": float("nan")}, "n_false_positives: found nan"),
-        ({"object_class": "cra"}, "object_class: found 'cra'.*did you mean 'car'"),
-        ({"box": (4.0, 0.0, 2.0)}, "box: found .*expected three positive lengths"),
-    ],
-)
-def test_invalid_values_are_refused_by_name(arguments, place):
-    with pytest.raises(ValueError, match=place):
-        UncoordinatedSelection(**arguments)
-
-
-@pytest.mark.parametrize("attack", [UncoordinatedAttack, CoordinatedAttack, Coordinator])
-def test_an_attack_that_starts_before_the_scene_is_refused(attack: type) -> None:
-    with pytest.raises(ValueError, match=r"start_s: found -5\.0, expected 0 or more"):
-        attack(start_s=-5.0)

@@ -1,7 +1,5 @@
 """Attacks that turn on disputes lie only where few look, or make honest agents disagree."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -12,11 +10,13 @@ from hypothesis import strategies as st
 from plaza import PERIOD, Played, honest_in_range, plaza, trust_in, within
 
 from mast_zenoh.arrays.states import ObjectStates, concatenate
-from mast_zenoh.attacks import Surroundings
+from mast_zenoh.attacks import Attack, Surroundings
 from mast_zenoh.attacks.disputes import DeniedSelection, OpenDispute, PairedDenial, TrustFlip
+from mast_zenoh.attacks.evasion import BlindAreaConfusion
+from mast_zenoh.attacks.phantoms import Sleeper
+from mast_zenoh.attacks.real_objects import SlowDrift
 from mast_zenoh.attacks.surroundings import Coverage
 from mast_zenoh.streams import stream
-from mast_zenoh.testing import check_attack
 
 #: The liar in the west, two honest poles in the east that both see its eastern half, and one in the north.
 DISPUTED = plaza(
@@ -27,14 +27,6 @@ DISPUTED = plaza(
     infra_3=[(0.0, 75.0, 5.0, 60.0)],
     infra_4=[(0.0, 0.0, 60.0, 60.0)],
 )
-
-
-@pytest.mark.parametrize("attack", [OpenDispute(start_s=0.5), TrustFlip(start_s=0.5)])
-def test_dispute_attacks_are_what_an_attack_has_to_be(attack: Any) -> None:
-    check_attack(attack)
-
-
-# OpenDispute
 
 
 @pytest.mark.parametrize("witnesses", [0, 1])
@@ -82,16 +74,6 @@ def test_a_car_is_withdrawn_a_second_before_another_honest_agent_looks_at_it() -
     assert seen == 0
 
 
-def test_no_car_stands_while_the_trust_has_fallen() -> None:
-    played, lies = Played(OpenDispute(start_s=0.5), DISPUTED, "infra_1"), []
-    for frame in range(60):
-        played.attack.hear_trust(frame, 0, trust_in(mean=0.5 if 20 <= frame < 40 else 1.0))
-        lies.append(len(played.step(world(8)).added))
-    assert sum(lies[:20]) > 0
-    assert sum(lies[20:40]) == 0
-    assert sum(lies[40:]) > 0
-
-
 def test_the_numbers_of_cars_and_of_hidden_objects_are_counted() -> None:
     attack = OpenDispute(start_s=0.5)
     assert attack.counts() == dict(selected=0, placed=0, wanted=0)
@@ -100,8 +82,6 @@ def test_the_numbers_of_cars_and_of_hidden_objects_are_counted() -> None:
         played.step(world(8))
     assert attack.counts()["placed"] == attack.counts()["wanted"] > 0
 
-
-# PairedDenial
 
 #: Two liars, and honest agents around them of which each sees a part.
 PAIRED = plaza(
@@ -120,9 +100,7 @@ def views(known: Surroundings, names: tuple[str, ...], time_s: float = 0.0) -> t
 
 @settings(max_examples=80, deadline=None)
 @given(st.integers(0, 10_000), st.integers(0, 3), st.integers(1, 40), st.floats(0.0, 50.0))
-def test_only_what_two_liars_and_few_honest_agents_see_is_hidden(
-    seed: int, witnesses: int, n: int, time_s: float
-) -> None:
+def test_only_what_two_liars_and_few_honest_agents_see_is_hidden(seed, witnesses, n, time_s):
     objects = world(n, seed, spread=40.0)
     coverage = Coverage(PAIRED, views(PAIRED, PAIRED.victims), time_s)
     hidden = DeniedSelection(witnesses=witnesses, budget=8.0).select(objects, coverage, stream(0)).remove
@@ -187,14 +165,6 @@ def test_both_are_honest_while_the_trust_in_one_has_fallen() -> None:
     assert directed(coordination, PAIRED, objects, 3)[-1] == [0, 0]
 
 
-@pytest.mark.parametrize("parameter", [dict(witnesses=-1), dict(budget=0.0), dict(tolerance=2.0)])
-def test_invalid_parameters_of_a_paired_denial_are_refused(parameter: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=next(iter(parameter))):
-        PairedDenial(**parameter)
-
-
-# TrustFlip
-
 NEAR = at((12.0, 3.0), (-12.0, -4.0), (0.0, 15.0), id=np.arange(3))
 
 
@@ -238,12 +208,34 @@ def test_one_other_sensor_contradicts_nobody() -> None:
     assert not any(attack.counts().values()), "the node warns that there was no target"
 
 
-def test_it_stops_while_the_target_is_suspended() -> None:
-    played, lies = Played(TrustFlip(target="infra_3", start_s=0.5), square(("infra_3",)), "infra_3"), []
-    for frame in range(60):
-        suspended = 20 <= frame < 40
-        played.attack.hear_trust(frame, 0, trust_in("suspended" if suspended else "trusted", infra_3=1.0, ego=0.0))
-        lies.append(len(played.step(NEAR).report))
-    assert all(lies[10:20])
-    assert not any(lies[20:40])
-    assert all(lies[41:])
+@pytest.mark.parametrize(
+    ("attack", "known", "victim", "fallen"),
+    [
+        (OpenDispute(start_s=0.5), DISPUTED, "infra_1", trust_in(mean=0.5)),
+        (BlindAreaConfusion(start_s=0.5), DISPUTED, "infra_1", trust_in(mean=0.5)),
+        (BlindAreaConfusion(action="hide", start_s=0.5), DISPUTED, "infra_1", trust_in(mean=0.5)),
+        (
+            Sleeper(attack=SlowDrift(start_s=0.5), honest_s=0.5, lying_s=0.5, start_s=0.5),
+            DISPUTED,
+            "infra_1",
+            trust_in(mean=0.5),
+        ),
+        (
+            TrustFlip(target="infra_3", start_s=0.5),
+            square(("infra_3",)),
+            "infra_3",
+            trust_in("suspended", infra_3=1.0, ego=0.0),
+        ),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, Attack) else "",
+)
+def test_no_lie_is_told_while_the_trust_has_fallen(attack, known, victim, fallen):
+    trusted = trust_in("trusted", infra_3=1.0, ego=0.0) if victim == "infra_3" else trust_in(mean=1.0)
+    played, lies = Played(attack, known, victim), []
+    objects = concatenate([NEAR, world(8, spread=20.0).with_(id=np.arange(10, 18))])
+    for frame in range(80):
+        attack.hear_trust(frame, 0, fallen if 30 <= frame < 50 else trusted)
+        lies.append(len(played.step(objects).report))
+    assert sum(lies[:30]) > 0
+    assert sum(lies[31:50]) == 0
+    assert sum(lies[50:]) > 0

@@ -1,7 +1,5 @@
 """TrustFlip and others in whole runs: the defence does not turn on honest agents, and the ego can be attacked."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Targets follow their objects through misses, neighbours and reordering."""
 
-from __future__ import annotations
-
 import numpy as np
 from attack_worlds import SECOND, at, world
 from hypothesis import given, settings

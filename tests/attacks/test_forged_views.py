@@ -1,7 +1,5 @@
 """Forged views agree with the lies, and no input breaks them."""
 
-from __future__ import annotations
-
 import numpy as np
 from attack_worlds import at, equal
 from hypothesis import given, settings

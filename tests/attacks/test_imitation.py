@@ -1,7 +1,5 @@
 """False objects have the noise and miss rate of the victim's own objects."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from attack_worlds import ORIGIN, SECOND, at, coverage_of
@@ -81,8 +79,9 @@ def shown(imitation: VictimLike, rows, frames: int = 400) -> list[ObjectStates]:
     return result[40:]
 
 
-def test_false_detections_have_noise_misses_and_scores_like_real_ones():
-    some = shown(VictimLike(), lambda frame: detected(frame, 0.7, 0.25))
+@pytest.mark.parametrize("stated", [True, False])
+def test_false_detections_have_noise_misses_and_scores_like_real_ones_with_covariances_or_without(stated):
+    some = shown(VictimLike(), lambda frame: detected(frame, 0.7, 0.25, stated))
     share = sum(map(len, some)) / (len(some) * len(FALSE))
     assert share == pytest.approx(0.7, abs=0.06)
     errors = np.concatenate([each.position - FALSE.position[each.id] for each in some])
@@ -92,12 +91,6 @@ def test_false_detections_have_noise_misses_and_scores_like_real_ones():
     scores = np.concatenate([each.score for each in some])
     assert 0.6 <= scores.min() < 0.65
     assert 0.95 < scores.max() <= 1.0
-
-
-def test_noise_is_added_where_detections_have_no_covariance():
-    some = shown(VictimLike(), lambda frame: detected(frame, 0.9, 0.25, stated=False))
-    errors = np.concatenate([each.position - FALSE.position[each.id] for each in some])
-    assert errors.std() == pytest.approx(0.25, rel=0.15)
 
 
 def test_false_tracks_do_not_flicker_or_jitter():

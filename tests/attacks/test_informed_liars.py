@@ -3,64 +3,43 @@
 Runs and shares were chosen after these runs had been seen: they guard against a relapse, and are no evidence beyond.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
+from agreeing_liars import BesideReal, FrameTwo, Scapegoats, Turned
 from informed_liars import Balloon, BlindSwarm, Deadlock, Excuser, WallHugger, Wedge, Zombie
 from liar_runs import RUNS, harm, played
+from turning_liars import Giant, Pulse, Tailgate
 
-from mast_zenoh.attacks.adaptive import AdaptiveAttack
-from mast_zenoh.testing import check_attack
+pytestmark = pytest.mark.heavy
 
 #: Runs in which many objects leave a lone liar's view.
 MANY_GONE = ((8, 2001), (9, 2000))
+TURNED = ((300, 2300),)
+#: Liar, its settings, number of liars, runs, greatest share of the harm without the defence that it may do, and harm in
+#: objects a frame that is chance. An `Excuser` seems to have a fault, and is waited for: nearly a third of its harm is
+#: done then. Others confirmed what a `Zombie` reports, and do not look there now: its harm is not halved.
+LIARS: list[tuple[type, dict[str, Any], int, tuple, float, float]] = [
+    *((liar, {}, 2, RUNS, 1.1, 0.0) for liar in (Balloon, Deadlock, Wedge, Excuser)),
+    (Balloon, dict(deny=False), 2, RUNS, 1.1, 0.0),
+    (Wedge, dict(shift_m=2.5), 2, RUNS, 1.1, 0.0),
+    (BlindSwarm, {}, 1, RUNS, 0.5, 0.0),
+    (Excuser, {}, 1, RUNS, 1 / 3, 0.0),
+    (WallHugger, {}, 1, RUNS, 0.5, 0.0),
+    (Zombie, {}, 1, MANY_GONE, 1.1, 0.0),
+    (BesideReal, {}, 1, RUNS[:1], 0.5, 0.0),
+    (Scapegoats, {}, 2, RUNS[:1], 0.5, 0.0),
+    *((liar, {}, 2, RUNS[:1], 1.1, 0.1) for liar in (FrameTwo, Turned)),
+    (Giant, {}, 1, TURNED, 0.5, 0.3),
+    *((liar, {}, 2, TURNED, 0.5, 0.3) for liar in (Pulse, Tailgate)),
+]
+CASES = [(run, *case) for case in LIARS for run in case[3]]
 
 
-@pytest.mark.parametrize("attack", [Balloon, BlindSwarm, Deadlock, Excuser, WallHugger, Wedge, Zombie])
-def test_informed_liars_are_what_an_attack_has_to_be(attack: type[AdaptiveAttack]) -> None:
-    check_attack(attack(start_s=0.5))
-
-
-@pytest.mark.heavy
-@pytest.mark.parametrize("run", RUNS)
-@pytest.mark.parametrize(
-    ("attack", "more"),
-    [
-        (Balloon, {}),
-        (Balloon, dict(deny=False)),
-        (Deadlock, {}),
-        (Wedge, {}),
-        (Wedge, dict(shift_m=2.5)),
-        (Excuser, {}),
-    ],
-)
-def test_two_liars_of_five_suspend_no_honest_agent_and_do_no_more_harm_than_without_the_defence(
-    attack: type[AdaptiveAttack], more: dict[str, Any], run: tuple[int, int]
-) -> None:
-    defended = played(attack, 2, "FaultOrLie", run, **more)
-    assert len(defended.liars) == 2
+@pytest.mark.parametrize(("run", "attack", "more", "liars", "runs", "share", "chance"), CASES)
+def test_liars_suspend_no_honest_agent_and_do_no_more_harm_than_a_share(run, attack, more, liars, runs, share, chance):
+    defended = played(attack, liars, "FaultOrLie", run, **more)
+    assert len(defended.liars) == liars
     assert defended.suspended <= defended.liars
-    assert harm(attack, 2, "FaultOrLie", run, **more) <= 1.1 * harm(attack, 2, "NoIntegrity", run, **more)
-
-
-@pytest.mark.heavy
-@pytest.mark.parametrize("run", RUNS)
-@pytest.mark.parametrize(("attack", "share"), [(BlindSwarm, 0.5), (Excuser, 1 / 3), (WallHugger, 0.5)])
-def test_a_lone_liar_does_at_most_half_of_its_harm_without_the_defence(
-    attack: type[AdaptiveAttack], share: float, run: tuple[int, int]
-) -> None:
-    """An `Excuser` seems to have a fault, and is waited for: nearly a third of its harm is done then."""
-    defended = played(attack, 1, "FaultOrLie", run)
-    assert defended.suspended <= defended.liars
-    assert harm(attack, 1, "FaultOrLie", run) <= share * harm(attack, 1, "NoIntegrity", run)
-
-
-@pytest.mark.heavy
-@pytest.mark.parametrize("run", MANY_GONE)
-def test_a_lone_liar_goes_on_with_real_objects_where_nobody_else_looks(run: tuple[int, int]) -> None:
-    """The exception: others confirmed what a `Zombie` reports, and do not look there now. Its harm is not halved."""
-    defended = played(Zombie, 1, "FaultOrLie", run)
-    assert defended.suspended <= defended.liars
-    assert harm(Zombie, 1, "FaultOrLie", run) <= 1.1 * harm(Zombie, 1, "NoIntegrity", run)
+    undefended = harm(attack, liars, "NoIntegrity", run, **more)
+    assert harm(attack, liars, "FaultOrLie", run, **more) <= max(share * undefended, chance)

@@ -1,7 +1,5 @@
 """Attacks on the road ahead follow the ego wherever it has been driven, and lie about what it would brake for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from attack_worlds import at
@@ -22,7 +20,6 @@ from mast_zenoh.attacks.road_ahead import (
     PhantomQueue,
 )
 from mast_zenoh.attacks.surroundings import Coverage
-from mast_zenoh.testing import check_attack
 
 #: The schedule of the ego: east along y = 0 at 8 m/s. It is driven at half of that.
 SCHEDULED_MPS, DRIVEN_MPS = 8.0, 4.0
@@ -62,31 +59,12 @@ def moving(x: float, y: float, vx: float, vy: float, number: int, length_m: floa
     ).with_(size=np.array([[length_m, 0.5 if length_m < 2.0 else 1.8, 1.6]]))
 
 
-@pytest.mark.parametrize(
-    "attack",
-    [
-        HideAhead(start_s=0.5),
-        HideAhead(start_s=0.5, what="crossing"),
-        LaneIntrusion(start_s=0.5),
-        LaneIntrusion(start_s=0.5, into="neighbour"),
-        GhostAhead(start_s=0.5),
-        PhantomQueue(start_s=0.5),
-        CutIn(start_s=0.5),
-    ],
-)
-def test_attacks_on_the_road_ahead_are_what_an_attack_has_to_be(attack: Attack) -> None:
-    check_attack(attack)
-
-
 def test_places_on_a_path_are_how_far_along_and_how_far_to_the_left() -> None:
     path = path_ahead(Coverage(street("ego"), (), 0.0))
     assert path is not None
     along, left = path.place(np.array([[-49.7, 2.0], [10.25, -3.5]]))
     assert np.allclose(along, [10.3, 70.25])
     assert np.allclose(left, [2.0, -3.5])
-
-
-# -- real objects
 
 
 @pytest.mark.parametrize("victim", ["ego", "infra_1"])
@@ -102,9 +80,7 @@ def test_the_leader_of_an_ego_that_is_off_schedule_is_hidden_and_nothing_else(vi
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
-def test_who_comes_from_the_side_is_hidden_before_and_in_the_lane_and_who_stands_there_is_not(
-    with_velocity: bool,
-) -> None:
+def test_who_comes_from_the_side_is_hidden_before_and_in_the_lane_and_who_stands_there_is_not(with_velocity):
     """Without velocities and ids, as in detections, the attack estimates them itself."""
     driven, hidden = DrivenEgo(HideAhead(start_s=1.0, what="crossing")), []
     for frame in range(100):
@@ -141,9 +117,6 @@ def test_an_intruder_seems_to_move_as_it_is_displaced() -> None:
     for _ in range(20):
         tampering = driven.step(moving(driven.x + 20.0, LANE_WIDTH_M, DRIVEN_MPS, 0.0, 1))
     assert np.allclose(tampering.moved.velocity, [[DRIVEN_MPS, -1.0, 0.0]])
-
-
-# -- false vehicles
 
 
 def added(driven: DrivenEgo, frames: int, *others: ObjectStates) -> list[ObjectStates]:
@@ -218,21 +191,3 @@ def test_without_a_route_there_is_no_road_to_lie_about() -> None:
         for frame in range(10):
             objects = concatenate([moving(20.0, 0.0, 1.0, 0.0, 1), moving(20.0, 3.0, 1.0, 0.0, 2)])
             assert len(attack.step(frame, frame * PERIOD, objects, np.zeros(3)).report) == 0
-
-
-@pytest.mark.parametrize(
-    ("attack", "wrong"),
-    [
-        (PhantomQueue, dict(ahead_m=0.0)),
-        (PhantomQueue, dict(spacing_m=np.inf)),
-        (CutIn, dict(change_s=0.0)),
-        (CutIn, dict(side="lef")),
-        (HideAhead, dict(horizon_s=-1.0)),
-        (HideAhead, dict(what="crosing")),
-        (LaneIntrusion, dict(into="egg")),
-        (LaneIntrusion, dict(rate_mps=0.0)),
-    ],
-)
-def test_a_parameter_that_cannot_be_is_named(attack: type[Attack], wrong: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        attack(**wrong)

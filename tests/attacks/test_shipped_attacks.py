@@ -1,7 +1,5 @@
 """Effects that the shipped scenarios promise, and agents that they spare."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,15 +1,23 @@
-"""Attackers that hear the trust in their agents react to it."""
+"""A budget limits the lies per second, without flicker; attackers that hear the trust in their agents react to it."""
 
-from __future__ import annotations
+import itertools
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
-from attack_worlds import SECOND, world
+import pytest
+from attack_worlds import SECOND, at, coverage_of, world
+from hypothesis import given
+from hypothesis import strategies as st
 
+from mast_zenoh.arrays.states import propagate
 from mast_zenoh.attacks import Attack, Surroundings
+from mast_zenoh.attacks.adaptive import SAVED_S, Budget, Moment
 from mast_zenoh.attacks.coordination import Collusion
+from mast_zenoh.attacks.following import Follower
 from mast_zenoh.attacks.knowledge import Trust, TrustWatch
 from mast_zenoh.attacks.phantoms import BlindSpot, Sleeper
-from mast_zenoh.attacks.real_objects import SlowDrift
+from mast_zenoh.attacks.real_objects import ChosenObjects, Framing, Overconfidence, Replay, SlowDrift, StatePerturbation
 from mast_zenoh.integrity import STATES
 
 ORIGIN = np.zeros(3)
@@ -69,19 +77,6 @@ def test_a_drift_goes_back_while_the_trust_has_fallen() -> None:
     assert np.allclose(change[41:], 0.1)
 
 
-def test_a_sleeper_sleeps_on_while_the_trust_has_fallen() -> None:
-    attack = prepared(
-        Sleeper(attack=SlowDrift(start_s=0.5), honest_s=0.5, lying_s=0.5, start_s=0.5),
-    )
-    lies = []
-    for frame in range(80):
-        attack.hear_trust(frame, frame * SECOND // 10, trust(0.3 if 30 <= frame < 60 else 0.9))
-        lies.append(len(attack.step(frame, frame * SECOND // 10, world(6), ORIGIN).report))
-    assert sum(lies[:30]) > 0
-    assert sum(lies[30:60]) == 0
-    assert sum(lies[60:]) > 0
-
-
 def test_colluding_adversaries_are_honest_while_the_trust_in_one_has_fallen() -> None:
     coordination = Collusion(start_s=0.5, budget=8.0)
     coordination.inform(Surroundings(victims=("infra_1", "infra_2")))
@@ -107,3 +102,88 @@ def test_a_blind_spot_keeps_clear_of_objects_in_the_picture() -> None:
         if len(added):
             distance = np.linalg.norm(added.position[:, None, :2] - crowd.position[None, :, :2], axis=2)
             assert distance.min() > 1.5
+
+
+def spent(rate: float, wanted: list[int], period_s: float = 0.1) -> list[int]:
+    budget, active, told = Budget(rate), 0, []
+    for count in wanted:
+        budget.advance(period_s)
+        active = budget.admit(active, count)
+        budget.spend(active)
+        told.append(active)
+    return told
+
+
+@given(st.floats(0.1, 20.0), st.lists(st.integers(0, 50), max_size=200))
+def test_no_more_than_what_was_earned_is_ever_spent(rate: float, wanted: list[int]) -> None:
+    told = spent(rate, wanted)
+    assert np.all(np.array(told) <= wanted)
+    total = np.cumsum(told) * 0.1
+    assert np.all(total <= rate * 0.1 * np.arange(1, len(told) + 1) + 1e-6)
+    for start in range(0, len(told), 7):
+        window = sum(told[start:]) * 0.1
+        assert window <= rate * (SAVED_S + 0.1 * (len(told) - start)) + 1e-6
+
+
+@given(st.integers(1, 20))
+def test_a_whole_number_of_lies_is_told_all_the_time(rate: int) -> None:
+    assert spent(float(rate), [50] * 100) == [rate] * 100
+
+
+def test_a_lie_beyond_the_steady_number_lasts_for_a_second() -> None:
+    told = np.array(spent(1.5, [50] * 400))
+    assert set(told.tolist()) == {1, 2}
+    changes = np.flatnonzero(np.diff(told)) + 1
+    lengths = np.diff(changes)[told[changes[:-1]] == 2]
+    assert lengths.min() >= 10
+    assert told.mean() == pytest.approx(1.5, abs=0.05)
+
+
+def test_an_honest_period_saves_for_a_burst() -> None:
+    told = spent(2.0, [0] * 50 + [6] * 20)
+    assert told[50:] == [6] * 20
+
+
+@pytest.mark.parametrize("budget", [1.0, 3.0])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda budget: SlowDrift(budget=budget, start_s=1.0),
+        lambda budget: StatePerturbation(budget=budget, start_s=1.0),
+        lambda budget: Overconfidence(budget=budget, start_s=1.0),
+        lambda budget: Replay(budget=budget, start_s=1.0, delay_s=0.5),
+        lambda budget: BlindSpot(budget=budget, start_s=1.0),
+        lambda budget: Sleeper(attack=SlowDrift(budget=budget, start_s=1.0), start_s=1.0, honest_s=1.0, lying_s=1.0),
+    ],
+    ids=["SlowDrift", "StatePerturbation", "Overconfidence", "Replay", "BlindSpot", "Sleeper"],
+)
+def test_attacks_keep_to_their_budget(make, budget: float) -> None:
+    attack = make(budget)
+    attack.inform(Surroundings())
+    attack.bind(0, "adversary_1")
+    lies = 0
+    for frame in range(60):
+        objects = propagate(world(12), 0.1 * frame)
+        lies += len(attack.step(frame, frame * SECOND // 10, objects, np.zeros(3)).report)
+    assert 0 < lies <= round(budget * 5.1 * 10)
+
+
+def test_framing_without_anybody_to_frame_is_honest() -> None:
+    attack = Framing(start_s=0.5)
+    attack.inform(Surroundings())
+    attack.bind(0, "adversary_1")
+    assert all(len(attack.step(f, f * SECOND // 10, world(12), np.zeros(3)).report) == 0 for f in range(20))
+
+
+def test_an_object_that_is_chosen_already_is_not_chosen_again() -> None:
+    follower, numbers = Follower(3.0), itertools.count()
+    budget: Any = SimpleNamespace()
+    chosen = ChosenObjects(follower, budget, lambda n: np.array([next(numbers) for _ in range(n)]))
+    seen = at((0.0, 0.0), (20.0, 0.0), id=np.arange(2))
+    coverage, rows = coverage_of(np.zeros(3)), []
+    for frame, allowed in enumerate((1, 2)):
+        budget.admit = lambda active, wanted, allowed=allowed: allowed
+        follower.observe(seen, frame * SECOND)
+        moment = Moment(frame, frame * SECOND, 1.0, seen, np.ones(2, bool), coverage, np.zeros(3))
+        rows.append(chosen.update(moment, np.array([0.0, 1.0]))[1].tolist())
+    assert rows == [[0], [0, 1]]

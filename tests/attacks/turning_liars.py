@@ -1,7 +1,5 @@
 """Liars that turn rules of `ExistenceVotes` against what honest agents report. Threat model as in `informed_liars`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
