@@ -1,7 +1,5 @@
 """Synthetic runs and measured effects for tests of metrics, and slow reference implementations."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import combinations, permutations
 from typing import Any
@@ -57,8 +55,6 @@ def recorded(
             record.add(frame, [series] if isinstance(series, Series) else series, Snapshot.of(tracks[frame]))
     return record
 
-
-# -- effects -----------------------------------------------------------------------------------------------------------
 
 #: Interposer, frame, effect, id of the object in the message, its position (removed: original; inserted, moved: new)
 #: and its velocity; of a moved object instead its original position.
@@ -127,9 +123,6 @@ def labelled(record: Record, measured: Effects, roles: dict[str, str] | None = N
     )
     labels = Attributor(AttributionLimits(), scores, done, PERIOD_S, **more).labels()
     return scores, scores.objects() | {"cause": cause_names(labels.cause), "by": labels.by}, labels, done
-
-
-# -- reference implementations -----------------------------------------------------------------------------------------
 
 
 def boxes(position, size=(4.0, 2.0, 1.5), yaw=0.0, group=0, id=None) -> Boxes:

@@ -1,26 +1,12 @@
 """Achievements of adversaries on synthetic runs: rules, shares, durations."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from metric_worlds import (
-    LOCAL,
-    MISSION,
-    NOTHING,
-    PERIOD_S,
-    PICTURE,
-    Row,
-    cars,
-    effects,
-    labelled,
-    passage,
-    recorded,
-)
+from metric_worlds import LOCAL, MISSION, NOTHING, PERIOD_S, PICTURE, Row, cars, effects, labelled, passage, recorded
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import achievement
@@ -75,9 +61,7 @@ def moved(frames: Any, name: str = "eve", to: tuple[float, float] = GHOST) -> li
 @example(tried=set(range(19)), missed=set(range(10)))
 @example(tried=set(range(9)), missed=set(range(9)))
 @given(tried=st.sets(st.integers(0, FRAMES - 1), min_size=1), missed=st.sets(st.integers(0, FRAMES - 1)))
-def test_an_object_is_hidden_when_missed_for_a_second_and_in_most_attempted_frames(
-    tried: set[int], missed: set[int]
-) -> None:
+def test_an_object_is_hidden_when_missed_for_a_second_and_in_most_attempted_frames(tried, missed):
     picture = [GONE if frame in missed else THERE for frame in range(FRAMES)]
     achievements = achieved(removed(tried), picture)["eve"]
     both = tried & missed

@@ -1,7 +1,5 @@
 """Needless and missed braking, and whether attacks caused it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from metric_worlds import LOCAL, NOTHING, Row, cars, effects, labelled, passage, recorded
@@ -79,9 +77,7 @@ def test_a_correct_estimate_brakes_when_the_truth_does() -> None:
         "nor is it due to one that inserted an object too far ahead to brake for",
     ],
 )
-def test_wrong_braking_is_due_to_an_attack_on_the_object(
-    truth, tracked, lies, omitted, needless, attacked, errors
-) -> None:
+def test_wrong_braking_is_due_to_an_attack_on_the_object(truth, tracked, lies, omitted, needless, attacked, errors):
     drive = driven(truth, [tracked] * FRAMES, lies)["ego", "local"]
     assert (frames(drive.omitted), frames(drive.needless)) == (omitted, needless)
     assert frames(drive.attacked) == attacked

@@ -1,7 +1,5 @@
 """Corridor, time to collision and braking, against shapely and simulation."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -66,9 +64,7 @@ def path_from(where: VehicleCourse, frame: int, horizon_m: float) -> LineString:
     turn=st.sampled_from([0.0, math.pi / 2, math.pi, -math.pi / 2]),
     size=st.sampled_from([(4.5, 1.8), (8.0, 2.5), (0.6, 0.6)]),
 )
-def test_objects_that_touch_the_path_with_its_width_are_in_the_corridor(
-    radius: float, frame: int, forward: float, lateral: float, turn: float, size: tuple[float, float]
-) -> None:
+def test_objects_that_touch_the_path_with_its_width_are_in_the_corridor(radius, frame, forward, lateral, turn, size):
     """Objects by arc length and offset from the path, without borderline cases."""
     speed = 5.0  # 50 m in 100 frames: less than a circle
     where = vehicle(radius, speed)
@@ -154,9 +150,7 @@ def stopping_gap(own: float, other: float, rule: SafeDistance, step_s: float = 2
     acceleration=st.floats(0.0, 3.0),
     braking=st.floats(3.0, 6.0),
 )
-def test_the_safe_distance_is_that_of_the_worst_case(
-    own: float, other: float, response: float, acceleration: float, braking: float
-) -> None:
+def test_the_safe_distance_is_that_of_the_worst_case(own, other, response, acceleration, braking):
     rule = SafeDistance(response_s=response, acceleration=acceleration, braking=braking, braking_ahead=8.0)
     used = stopping_gap(own, other, rule)
     assume(used > 0.1)

@@ -1,7 +1,5 @@
 """Each false or missed object has a cause; one due to an attack, an adversary."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -300,49 +298,38 @@ def test_an_attack_on_one_agents_detections_does_not_affect_another_agents_own_t
 CENTRE = ["picture", "picture_received", "picture_on_arrival", "mission"]
 
 
+#: Agents with a centre, with peers, and with peers that relay what they hear.
+OF_CENTRE = influences(["ego", "other", "infra_9"])
+OF_PEERS, OF_RELAYS = (influences(["ego", "other", "third"], *maps, peers=True) for maps in ([], ["relays.toml"]))
+
+
 @pytest.mark.parametrize(
-    ("port", "subject", "before", "is_link", "affected"),
+    ("port", "subject", "before", "is_link", "affected", "known"),
     [
-        ("detections", "ego", "", False, ["local", "received", *CENTRE]),
-        ("pose", "other", "", True, CENTRE),
-        ("tracks", "ego", "", False, ["received", *CENTRE]),
-        ("tracks", "ego", "", True, ["received"]),
-        ("tracks", "other", "", False, CENTRE),
-        ("collated", "centre", "", False, CENTRE),
-        ("collated", "centre", "", True, []),
-        ("picture", "centre", "", False, CENTRE[1:]),
-        ("picture", "centre", "ego", True, CENTRE[1:]),
-        ("picture", "centre", "other", False, []),
-        ("mission", "ego", "", False, []),
-        ("clock", "ego", "", False, ["local", "received", *CENTRE]),
-        ("of_nobody", "ego", "", False, []),
+        ("broadcast", "other", "", False, CENTRE, OF_PEERS),
+        ("broadcast", "other", "peer_ego", False, CENTRE, OF_PEERS),
+        ("broadcast", "other", "peer_third", False, [], OF_PEERS),
+        ("broadcast", "other", "peer_third", False, CENTRE, OF_RELAYS),
+        ("broadcast", "ego", "peer_third", False, [], OF_RELAYS),
+        ("detections", "ego", "", False, ["local", "received", *CENTRE], OF_CENTRE),
+        ("pose", "other", "", True, CENTRE, OF_CENTRE),
+        ("tracks", "ego", "", False, ["received", *CENTRE], OF_CENTRE),
+        ("tracks", "ego", "", True, ["received"], OF_CENTRE),
+        ("tracks", "other", "", False, CENTRE, OF_CENTRE),
+        ("collated", "centre", "", False, CENTRE, OF_CENTRE),
+        ("collated", "centre", "", True, [], OF_CENTRE),
+        ("picture", "centre", "", False, CENTRE[1:], OF_CENTRE),
+        ("picture", "centre", "ego", True, CENTRE[1:], OF_CENTRE),
+        ("picture", "centre", "other", False, [], OF_CENTRE),
+        ("mission", "ego", "", False, [], OF_CENTRE),
+        ("clock", "ego", "", False, ["local", "received", *CENTRE], OF_CENTRE),
+        ("of_nobody", "ego", "", False, [], OF_CENTRE),
     ],
 )
-def test_an_interposer_affects_the_estimates_behind_its_wire(
-    port: str, subject: str, before: str, is_link: bool, affected: list[str]
-) -> None:
+def test_an_interposer_affects_the_estimates_behind_its_wire(port, subject, before, is_link, affected, known):
+    """Before one peer, it affects others only through relays, and never its own agent."""
     series = [("ego", estimator) for estimator in ESTIMATORS]
-    known = influences(["ego", "other", "infra_9"])
     (mask,), _ = known.reach([passage("eve", port, subject, before)], series, np.array([is_link]))
-    assert [estimator for estimator, each in zip(ESTIMATORS, mask, strict=True) if each] == affected
-
-
-@pytest.mark.parametrize(
-    ("subject", "before", "relays", "affected"),
-    [
-        ("other", "", False, CENTRE),
-        ("other", "peer_ego", False, CENTRE),
-        ("other", "peer_third", False, []),
-        ("other", "peer_third", True, CENTRE),
-        ("ego", "peer_third", True, []),
-    ],
-)
-def test_an_interposer_before_one_peer_affects_others_only_through_relays_and_never_its_own_agent(
-    subject: str, before: str, relays: bool, affected: list[str]
-) -> None:
-    series = [("ego", estimator) for estimator in ESTIMATORS]
-    known = influences(["ego", "other", "third"], *["relays.toml"] * relays, peers=True)
-    (mask,), _ = known.reach([passage("eve", "broadcast", subject, before)], series, np.array([False]))
     assert [estimator for estimator, each in zip(ESTIMATORS, mask, strict=True) if each] == affected
 
 
@@ -373,9 +360,7 @@ def test_a_peer_uses_what_it_hears_a_frame_later_and_what_another_relays_two_fra
 @pytest.mark.parametrize(
     ("seen", "removed", "hidden"), [(8, 3, True), (7, 3, False), (8, 2, False)], ids=["enough", "unseen", "too few"]
 )
-def test_removed_detections_hide_an_object_only_from_an_agent_that_would_track_it(
-    seen: int, removed: int, hidden: bool
-) -> None:
+def test_removed_detections_hide_an_object_only_from_an_agent_that_would_track_it(seen, removed, hidden):
     """Of the last second it has to see the object in most frames, and three detections make a track."""
     n = 30
     points = [[4 if n - 10 <= frame < n - seen else 5] for frame in range(n)]
@@ -449,9 +434,7 @@ SUSPENDED = [trust(frame, suspended=True) for frame in range(12)]
     ],
     ids=["withheld", "reported by a suspended agent alone", "reported by another too", "hidden by an adversary"],
 )
-def test_a_missed_object_that_the_command_centre_has_is_not_attributed_to_the_attack(
-    reporting: tuple[str, ...], updates: list[TrustUpdate], cause: str, by: str
-) -> None:
+def test_a_missed_object_that_the_command_centre_has_is_not_attributed_to_the_attack(reporting, updates, cause, by):
     agents = ("infra_1", "infra_2")
     tracks = {Series(agent, "local"): [CAR if agent in reporting else NOTHING] * 12 for agent in agents}
     record = recorded([CAR] * 12, {PICTURE: [NOTHING] * 12} | tracks, agents=agents)

@@ -1,7 +1,5 @@
 """Blame of links and faults: objects known only to disconnected agents."""
 
-from __future__ import annotations
-
 from itertools import groupby
 
 import numpy as np
@@ -144,9 +142,7 @@ CASES = {
 
 
 @pytest.mark.parametrize(("world", "local", "picture", "id_", "expected"), CASES.values(), ids=CASES)
-def test_an_object_that_only_disconnected_agents_know_is_missed_due_to_the_fault(
-    world, local, picture, id_, expected
-) -> None:
+def test_an_object_that_only_disconnected_agents_know_is_missed_due_to_the_fault(world, local, picture, id_, expected):
     assert missed(judged(local=local, picture=picture, **world), id_) == expected
 
 
@@ -222,9 +218,6 @@ def drifting(id_: int):
 def test_a_drifting_track_whose_only_source_is_disconnected_is_due_to_the_fault(world, expected) -> None:
     table = judged(local=holds, silent=cut(), **world)
     assert [each for each in spans(table, "track", "false") if each[2] in (FAULT, "lag")] == expected
-
-
-# -- absent agents, by frame ------------------------------------------------------------------------------------------
 
 
 def missing(silent_frames=(), unheard=(), frames: int = 40, **how) -> list[int]:

@@ -1,7 +1,5 @@
 """Increments by an attack, from two tables per frame."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scores of runs: small ones by hand, random ones against plain loops."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -195,13 +193,6 @@ def test_rmse_covers_all_pairs_of_the_run_and_is_null_without_any():
     json.dumps(summary_of(none), allow_nan=False)
 
 
-def test_the_summary_has_mean_and_deviation_over_frames():
-    truth = [cars((0.0, 0.0), (9.0, 0.0))] * 2
-    numbers = summary(truth, [cars((0.0, 0.0)), NOTHING])
-    assert numbers["fn"] == {"mean": 1.5, "std": 0.5}
-    assert numbers["tp"] == {"mean": 0.5, "std": 0.5}
-
-
 def test_the_summary_can_cover_some_frames_while_tables_have_all():
     scores = Scorer().score(record([cars((0.0, 0.0))] * 4, [NOTHING, *[cars((0.0, 0.6))] * 3]))
     numbers = summary_of(scores, slice(1, 4))["ego"]["picture"]
@@ -277,9 +268,6 @@ def test_set_distances_are_computed_per_frame_and_summarised_like_counts() -> No
     numbers, half = summary([BOTH, BOTH], [BOTH, ONE]), pytest.approx(np.sqrt(25 / 2) / 2)
     assert numbers["ospa_m"] == {"mean": half, "std": half}
     assert numbers["gospa_m"]["mean"] == half
-
-
-# Against plain loops
 
 
 def random_run(seed: int, shuffled: bool = False) -> tuple[Record, list]:

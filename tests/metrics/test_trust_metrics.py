@@ -1,7 +1,5 @@
 """Trust compared with conduct, and ROC curves, on hand-made tables."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -139,12 +137,7 @@ def test_a_lie_of_a_faulty_agent_counts_as_a_lie() -> None:
 def test_periods_of_an_undecided_agent_are_listed_and_are_neither_suspensions_nor_alarms() -> None:
     agent, whole = summarised([TRUSTED, UNDECIDED, UNDECIDED, SUSPENDED, UNDECIDED], lies=(4,))
     assert agent["undecided"] == [
-        {
-            "from_s": pytest.approx(0.1),
-            "until_s": pytest.approx(0.3),
-            "reason": "reason 1",
-            "conduct": "honest",
-        },
+        {"from_s": pytest.approx(0.1), "until_s": pytest.approx(0.3), "reason": "reason 1", "conduct": "honest"},
         {"from_s": pytest.approx(0.4), "until_s": None, "reason": "reason 4", "conduct": "lying"},
     ]
     assert [each["from_s"] for each in agent["suspensions"]] == pytest.approx([0.3])
@@ -236,16 +229,11 @@ def test_roc_counts_alarms_at_each_threshold() -> None:
 @pytest.mark.parametrize(
     ("scores", "labels", "area"),
     [
-        ([3, 2, 1, 0], [1, 1, 0, 0], 1.0),
-        ([0, 1, 2, 3], [1, 1, 0, 0], 0.0),
-        ([1, 1, 1, 1], [1, 1, 0, 0], 0.5),
         ([3, 1, 2, 0], [1, 1, 0, 0], 0.75),
         ([np.nan, 2, 1, np.nan], [1, 1, 0, 0], 0.625),
     ],
 )
-def test_area_is_how_often_a_liar_scores_above_an_honest_agent(
-    scores: list[float], labels: list[int], area: float
-) -> None:
+def test_area_is_how_often_a_liar_scores_above_an_honest_agent(scores, labels, area):
     assert auc(scores, labels) == pytest.approx(area)
 
 

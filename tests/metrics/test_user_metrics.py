@@ -1,7 +1,5 @@
 """User-defined metrics: their inputs, valid results and summaries."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -12,14 +10,7 @@ from hypothesis import strategies as st
 from metric_worlds import LOCAL, cars, recorded
 
 from mast_zenoh.control.failures import location
-from mast_zenoh.metrics import (
-    AttributionLimits,
-    Attributor,
-    Estimate,
-    FrameMetric,
-    RunMetric,
-    Scorer,
-)
+from mast_zenoh.metrics import AttributionLimits, Attributor, Estimate, FrameMetric, RunMetric, Scorer
 from mast_zenoh.metrics.judged_estimate import estimates_of
 from mast_zenoh.metrics.manipulations import Manipulations
 from mast_zenoh.metrics.measures import ScoredRun, check, measured
@@ -168,11 +159,3 @@ def test_an_error_about_a_returned_value_is_located_in_the_users_file(value: Any
     with pytest.raises(ValueError, match=r"Told\.per_frame: found ") as caught:
         computed([Told(value)], [[True], [True]])
     assert location(caught.value, type) == f"{__file__}:{Told.per_frame.__code__.co_firstlineno}"
-
-
-def test_a_metric_named_like_a_built_in_one_is_refused() -> None:
-    class FN(Told):
-        """A metric whose column name is `fn`."""
-
-    with pytest.raises(ValueError, match=r"FN is called 'fn', which is the name of a built-in metric"):
-        check([FN(0.0)])
