@@ -1,7 +1,5 @@
 """What stations perceive, for tests of generation rules."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

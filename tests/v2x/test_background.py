@@ -1,7 +1,5 @@
 """Stations in the background load a channel as stations of the scene would."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

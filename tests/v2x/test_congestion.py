@@ -1,14 +1,11 @@
 """Congestion control: how often stations may send, given how busy the channel is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.config.registry import build
-from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.v2x.congestion import AdaptiveDcc, CongestionControl, ReactiveDcc
 
 SLOT_NS = 100_000_000
@@ -22,20 +19,6 @@ def measure(control: CongestionControl, busy: float, seconds: float, start_s: fl
     for slot in range(first, first + count):
         control.measure(slot * SLOT_NS, np.full(stations, busy))
     return (first + count) / 10
-
-
-@pytest.mark.parametrize(
-    ("spec", "problem"),
-    [
-        (dict(type="ReactiveDcc", bounds=[0.2]), "intervals_s: found 7 values, expected 2, one more than bounds"),
-        (dict(type="ReactiveDcc", bounds=[0.5, 0.2], intervals_s=[1, 1, 1]), "expected an ascending order"),
-        (dict(type="AdaptiveDcc", target=1.5), "target: found 1.5, expected more than 0 and at most 1"),
-        (dict(type="AdaptiveDcc", least=0.1), "least: found 0.1, expected at most `most`, which is 0.03"),
-    ],
-)
-def test_invalid_parameters_are_refused(spec: dict[str, object], problem: str) -> None:
-    with pytest.raises(ConfigurationError, match=problem):
-        build(spec, CongestionControl, "congestion")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -143,8 +126,8 @@ def fair_share(control: AdaptiveDcc, stations: int) -> float:
     return min(max(share, control.least), control.most)
 
 
-@pytest.mark.parametrize("stations", [1, 5, 20, 56, 100, 300, 1000])
-@pytest.mark.parametrize("start", [0.0006, 0.0153, 0.03])
+@pytest.mark.parametrize("stations", [1, 56, 1000])
+@pytest.mark.parametrize("start", [0.0006, 0.03])
 def test_adaptive_stations_converge_to_the_fair_share_below_the_target(stations: int, start: float) -> None:
     control = AdaptiveDcc()
     control.reset(stations)

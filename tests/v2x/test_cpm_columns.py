@@ -1,6 +1,4 @@
-"""CPM as columns of integers in the standard's units."""
-
-from __future__ import annotations
+"""CPM and CAM as integers in the standard's units."""
 
 import dataclasses
 
@@ -12,20 +10,12 @@ from plain_values import from_plain
 from v2x_messages import MessageMaker
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x import cpm
-from mast_zenoh.v2x.asn1 import cpm_fields, uper
+from mast_zenoh.v2x import cam, cpm
+from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields, uper
 from mast_zenoh.v2x.asn1.cdd import PerceivedObject
 from mast_zenoh.v2x.asn1.layout import slot_of
 from mast_zenoh.v2x.asn1.plain import to_plain
-from mast_zenoh.v2x.perceived_objects import (
-    ABSENT,
-    CARTESIAN,
-    OTHER,
-    PEDESTRIAN,
-    VEHICLE,
-    VRU,
-    PerceivedObjects,
-)
+from mast_zenoh.v2x.perceived_objects import ABSENT, CARTESIAN, OTHER, PEDESTRIAN, VEHICLE, VRU, PerceivedObjects
 from mast_zenoh.v2x.reference_position import Position
 
 
@@ -53,10 +43,7 @@ def test_columns_have_the_fields_of_the_standard():
     assert pedestrian == {
         "objectId": 65535,
         "measurementDeltaTime": 0,
-        "position": {
-            "xCoordinate": {"value": 131070, "confidence": 30},
-            "yCoordinate": {"value": 5, "confidence": 30},
-        },
+        "position": {"xCoordinate": {"value": 131070, "confidence": 30}, "yCoordinate": {"value": 5, "confidence": 30}},
         "lowerTriangularCorrelationMatrices": [{"componentsIncludedIntheMatrix": "1100000000000", "matrix": [[0]]}],
         "classification": [{"objectClass": {"vruSubClass": {"pedestrian": 1}}, "confidence": 101}],
     }
@@ -138,10 +125,7 @@ def test_polar_vectors_have_the_columns_of_cartesian_ones(name):
         ([[0, 0, 0, 1, 0], [0, 0, 0, 2, 0]], "found other pairs than all of its components"),
         ([[0, 0, 1, 0, 0]], "found other pairs than all of its components"),
         ([[0, 0, 0, 13, 0]], "found other pairs than all of its components"),
-        (
-            [[0, 0, 0, 1, 102]],
-            r"Matrices\[0\].matrix\[0\]\[0\]: found 102, expected -100..101",
-        ),
+        ([[0, 0, 0, 1, 102]], r"Matrices\[0\].matrix\[0\]\[0\]: found 102, expected -100..101"),
     ],
 )
 def test_correlations_that_are_no_matrix_are_refused(cells, expected):
@@ -167,3 +151,32 @@ def test_some_objects_are_taken_with_their_lists():
     assert taken.classes.tolist() == [[0, VRU, PEDESTRIAN, 1, 101]]
     assert len(taken.sensors) == 0
     assert taken.correlations.tolist() == [[0, 0, 0, 1, 0]]
+
+
+MESSAGE = cam.Cam(4711, 12345, 5, Position(520_000_000, 94_000_000))
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32), st.sampled_from([0.0, 0.1, 0.5]), st.booleans())
+def test_random_messages_say_what_has_no_place(seed, presence, beyond):
+    """A message of which everything was read encodes to the same bytes."""
+    layout = cam_fields.LAYOUT
+    plain = MessageMaker(np.random.default_rng(seed), presence, beyond).draw(layout.type)
+    data = uper.encode(layout, from_plain(layout, plain))
+    received = cam.decode(data)
+    if not received.unread:
+        assert cam.encode(received) == data
+
+
+def test_lights_are_bits_from_the_first_to_the_last():
+    status = cam.VehicleStatus(lights=0b10000001)
+    plain = to_plain(cam_fields.LAYOUT, cam.to_values(dataclasses.replace(MESSAGE, status=status)))
+    low = plain["cam"]["camParameters"]["lowFrequencyContainer"]["basicVehicleContainerLowFrequency"]
+    assert low == {"vehicleRole": "default", "exteriorLights": "10000001", "pathHistory": []}
+
+
+def test_values_of_a_cam_outside_the_standard_are_refused_with_the_path_of_the_field():
+    with pytest.raises(MessageError, match=r"speed.speedValue: found 16384, expected 0..16383"):
+        cam.encode(dataclasses.replace(MESSAGE, vehicle=cam.VehicleMotion(speed=16384)))
+    with pytest.raises(MessageError, match=r"pathHistory: found 24 elements, expected 0..23"):
+        cam.encode(dataclasses.replace(MESSAGE, status=cam.VehicleStatus(path=np.zeros((24, 4), np.int64))))

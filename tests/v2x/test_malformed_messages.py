@@ -1,7 +1,5 @@
 """Damaged CPM and CAM are refused with the field's path, or are other canonical messages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from plain_values import from_plain

@@ -1,7 +1,5 @@
 """Redundancy rules: objects that others have reported are left out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from perceptions import FRAME_NS, objects, reports

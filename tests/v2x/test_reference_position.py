@@ -1,7 +1,5 @@
 """Reference positions in WGS84, and the plane around an origin."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

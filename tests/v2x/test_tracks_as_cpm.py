@@ -1,7 +1,5 @@
 """Tracks that pass through CPM bytes are as accurate as the standard's units."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

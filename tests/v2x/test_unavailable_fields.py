@@ -1,7 +1,5 @@
 """What a message says to be unavailable or out of range is no value: TS 102 894-2 v2.4.1."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -121,12 +119,7 @@ def perceived(**columns: object) -> cpm.Cpm:
 
 @pytest.mark.parametrize(
     "unknown",
-    [
-        {"position": [131_071, 0, 0]},
-        {"position": [0, -131_072, 0]},
-        {"delta_time": 2047},
-        {"delta_time": -2048},
-    ],
+    [{"position": [131_071, 0, 0]}, {"position": [0, -131_072, 0]}, {"delta_time": 2047}, {"delta_time": -2048}],
 )
 def test_an_object_of_unknown_place_or_time_is_left_out_and_counted(unknown: dict[str, object]) -> None:
     body = unpack("cpm", [cpm.encode(perceived(**unknown))])
@@ -150,9 +143,6 @@ def test_heights_are_unknown_in_a_message_without_an_altitude() -> None:
 def test_a_vehicle_of_unknown_orientation_does_not_head_north() -> None:
     message = replace(perceived(), vehicle=(3601, 127), rsu=False)
     assert unpack("cpm", [cpm.encode(message)])["rotation"].tolist() == [1.0, 0.0, 0.0, 0.0]
-
-
-# -- the number of known objects ---------------------------------------------------------------------------------------
 
 
 def test_a_message_says_how_many_objects_its_sender_knows_also_of_those_that_do_not_fit() -> None:

@@ -1,7 +1,5 @@
 """Bits of each kind of type, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from plain_values import from_plain

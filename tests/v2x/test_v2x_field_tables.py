@@ -1,7 +1,5 @@
 """The field tables are those of ETSI's ASN.1 modules: names, order, options, bounds, extension markers."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -1,11 +1,8 @@
 """Without compiled kernels, runs with CPMs or CAMs are refused before they start, and all others work."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -39,9 +36,7 @@ def switch_off(monkeypatch: pytest.MonkeyPatch) -> None:
     ("setting", "wire"),
     [("codec=cpm", r"codec cpm on 'agent/ego/broadcast'"), ("awareness=true", r"codec cam on 'agent/ego/awareness'")],
 )
-def test_a_scenario_with_a_codec_is_refused_with_the_wire_and_the_remedy(
-    monkeypatch: pytest.MonkeyPatch, setting: str, wire: str
-) -> None:
+def test_a_scenario_with_a_codec_is_refused_with_the_wire_and_the_remedy(monkeypatch, setting, wire):
     switch_off(monkeypatch)
     disabled = REASON + "MAST_KERNELS=numpy disables them; to use them, unset MAST_KERNELS"
     with pytest.raises(ConfigurationError, match=r"peers\.py: " + wire + disabled):
@@ -51,27 +46,18 @@ def test_a_scenario_with_a_codec_is_refused_with_the_wire_and_the_remedy(
         peers(setting)
 
 
-def test_a_resolved_scenario_is_refused_before_its_run_has_a_folder(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_resolved_scenario_is_refused_before_its_run_has_a_folder(monkeypatch, tmp_path):
     resolved = peers("codec=cpm")
     switch_off(monkeypatch)
     for runtime in ("inproc", "mesh"):
         with pytest.raises(ConfigurationError, match="^peers: codec cpm on" + ".*" + REASON):
             launcher.run(resolved, tmp_path / "run", runtime=runtime)
+    with pytest.raises(ConfigurationError, match="codec cpm on"):
+        InProcess(resolved)
     assert not (tmp_path / "run").exists()
 
 
-def test_a_node_of_such_a_run_is_refused_where_it_is_hosted(monkeypatch: pytest.MonkeyPatch) -> None:
-    resolved = peers("codec=cpm")
-    switch_off(monkeypatch)
-    with pytest.raises(ConfigurationError, match="codec cpm on"):
-        InProcess(resolved)
-
-
-def test_a_recording_with_a_codec_is_refused_and_its_messages_are_as_those_of_a_stranger(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_recording_with_a_codec_is_refused_and_its_messages_are_as_those_of_a_stranger(monkeypatch, tmp_path):
     """A node without kernels must not fail because of a message that no wire of its run has."""
     resolved = peers("codec=cpm")
     mast.run("peers", frames=2, codec="cpm", n_infrastructure=1, n_mobile=1, out=tmp_path / "run", runtime="inproc")
@@ -94,9 +80,7 @@ def test_without_kernels_bytes_are_neither_read_nor_written() -> None:
 
 
 @pytest.mark.parametrize(("setting", "code"), [("codec=cpm", 10), ("codec=columns", 0)])
-def test_the_command_ends_with_one_line_and_the_code_of_a_configuration_error(
-    tmp_path: Path, setting: str, code: int
-) -> None:
+def test_the_command_ends_with_one_line_and_the_code_of_a_configuration_error(tmp_path, setting, code):
     settings = [word for each in (setting, *SMALL) for word in ("--set", each)]
     options = ["--frames", "2", "--runtime", "inproc", "--no-report", "--out", str(tmp_path / "run")]
     process = subprocess.run(
