@@ -1,7 +1,6 @@
 """Regions of centres cover the ground without gaps, and each point belongs to one."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -35,10 +34,3 @@ def test_a_circle_moves_with_its_agent_and_is_empty_before() -> None:
     assert region.contains(points).tolist() == [False, False]
     assert moved(region).contains(points).tolist() == [True, False]
     assert moved(region, (90.0, 0.0, 5.0)).contains(points).tolist() == [False, True]
-
-
-def test_limits_in_the_wrong_order_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"y_min_m, y_max_m: found 3\.0, 2\.0, expected ascending numbers"):
-        Rectangle(y_min_m=3.0, y_max_m=2.0)
-    with pytest.raises(ValueError, match=r"radius_m: found 0\.0, expected more than 0"):
-        Around(0.0)

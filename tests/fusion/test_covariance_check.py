@@ -7,11 +7,7 @@ from hypothesis import strategies as st
 from tracked_objects import INVALID_COVARIANCES, MATURE, cars, centre, nanoseconds
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.fusion import (
-    CheckedCovariances,
-    CovarianceCheck,
-    ReportedCovariances,
-)
+from mast_zenoh.fusion import CheckedCovariances, CovarianceCheck, ReportedCovariances
 
 NAMES = tuple("abcde")
 CARS = np.array([[15.0 * x, 15.0 * y] for x in range(4) for y in range(4)])
@@ -225,10 +221,3 @@ def test_the_order_of_tracks_and_agents_does_not_matter(random):
         result = check.inflated(nanoseconds(frame), states, agent, NAMES[:4], labels, None)
         again = other.inflated(nanoseconds(frame), states.select(rows), agent[rows], NAMES[:4], labels[rows], None)
         assert result.covariance[rows].tobytes() == again.covariance.tobytes()
-
-
-def test_invalid_parameters_are_refused():
-    with pytest.raises(ValueError, match="least_speed_std_mps: found 0"):
-        CheckedCovariances(least_speed_std_mps=0.0)
-    with pytest.raises(ValueError, match=r"limit: found 0\.5, expected 1 or more"):
-        CheckedCovariances(limit=0.5)

@@ -128,12 +128,7 @@ def test_the_covariance_is_conservative_even_if_all_errors_are_shared(n, seed, w
 
 
 @settings(max_examples=60)
-@given(
-    st.integers(1, 12),
-    st.integers(0, 1000),
-    st.sampled_from(FUSIONS),
-    st.booleans(),
-)
+@given(st.integers(1, 12), st.integers(0, 1000), st.sampled_from(FUSIONS), st.booleans())
 def test_the_order_of_members_does_not_matter(n, seed, fusion, trusted):
     random = np.random.default_rng(seed)
     some, labels = members(n, seed), np.unique(random.integers(0, 4, n), return_inverse=True)[1]

@@ -7,11 +7,7 @@ from hypothesis import strategies as st
 from tracked_objects import INVALID_COVARIANCES, MATURE, STEP_S, cars, centre, nanoseconds
 
 from mast_zenoh.arrays.states import ObjectStates, concatenate
-from mast_zenoh.fusion import (
-    Clusterer,
-    DBSCANClusterer,
-    SampledAssignmentClusterer,
-)
+from mast_zenoh.fusion import Clusterer, DBSCANClusterer, SampledAssignmentClusterer
 from mast_zenoh.fusion.clustering import without_contradicted
 
 CLUSTERERS = [SampledAssignmentClusterer(), DBSCANClusterer()]

@@ -33,17 +33,13 @@ def pictured_ids(pipeline: CommandCenterPipeline, hidden_s: float, speed: float,
             if not hidden
         ]
         picture, _ = pipeline.step(
-            nanoseconds(frame),
-            concatenate(seen) if seen else ObjectStates.empty(),
-            np.arange(len(seen)),
-            ("a", "b"),
+            nanoseconds(frame), concatenate(seen) if seen else ObjectStates.empty(), np.arange(len(seen)), ("a", "b")
         )
         ids.update(picture.id.tolist() if seen else [])
     return ids
 
 
-@pytest.mark.parametrize("hidden_s", [1.0, 2.0, 3.0])
-@pytest.mark.parametrize(("speed", "turn"), [(10.0, 0.0), (0.0, 0.0), (8.0, 0.2)])
+@pytest.mark.parametrize(("hidden_s", "speed", "turn"), [(3.0, 10.0, 0.0), (3.0, 0.0, 0.0), (3.0, 8.0, 0.2)])
 def test_an_object_that_returns_after_three_seconds_keeps_its_id(hidden_s, speed, turn):
     assert pictured_ids(centre(), hidden_s, speed, turn) == {0}
 

@@ -171,9 +171,6 @@ def test_a_rumour_that_circulates_makes_the_naive_fusion_certain_without_limit(a
     assert mean_nees(many) > 20.0 * mean_nees(few) > 20.0 * HIGH
 
 
-# -- errors that are known to be partly independent
-
-
 def partly_shared(random: np.random.Generator, members: int, independent: float) -> list[tuple[Floats, Floats]]:
     """Estimates with a share `independent` of each covariance of their own; the rest is the same error in all."""
     common = drawn(random, np.broadcast_to(np.eye(9), (TRIALS, 9, 9)))
@@ -206,8 +203,3 @@ def test_trust_counts_with_any_share():
     for share in (0.0, 0.5, 1.0):
         fused = CI(independent_share=share).fuse(states, labels, weights)
         assert np.allclose(vectors_of(fused), estimates[0][0], atol=1e-3)
-
-
-def test_a_share_outside_0_to_1_is_named():
-    with pytest.raises(ValueError, match="independent_share"):
-        CI(independent_share=1.1)

@@ -5,8 +5,6 @@ Weng, Wang, Held and Kitani, "3D Multi-Object Tracking: A Baseline and New Evalu
 velocity per frame, and the Hungarian method on the overlap of boxes or on the distance of their centres.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

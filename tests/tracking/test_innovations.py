@@ -1,7 +1,5 @@
 """Trackers tell how far measurements are from where they expected them: NIS, without any truth."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

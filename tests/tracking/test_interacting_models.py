@@ -1,7 +1,6 @@
 """The box tracker with interacting models, and filterpy's estimator as its reference."""
 
 import numpy as np
-import pytest
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.linalg import expm
 from test_tracking_parts import some_tracks
@@ -10,8 +9,6 @@ from tracked_objects import nanoseconds
 from tracking_worlds import detected, watch
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.config.registry import build
-from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.streams import stream
 from mast_zenoh.tracking import InteractingModelsTracker3D, KalmanBoxTracker3D, Tracker
 from mast_zenoh.tracking.interacting_models import InteractingModels
@@ -106,14 +103,3 @@ def test_states_of_others_are_tracked_too():
         states = source.step(nanoseconds(frame), detected([0.8 * frame, 2.0]))
         fused: ObjectStates = tracker.step_states(nanoseconds(frame), states)
     np.testing.assert_allclose(fused.position[0, :2], [15.2, 2.0], atol=0.2)
-
-
-def test_it_has_the_parameters_of_the_box_tracker_and_its_own():
-    spec = dict(type="InteractingModelsTracker3D", turn_s=2.0, position_std_m=0.3)
-    assert isinstance(build(spec, Tracker, "tracker"), InteractingModelsTracker3D)
-    with pytest.raises(ConfigurationError, match=r"tracker.turn_rate: .* did you mean 'turn_rate_rad_s'"):
-        build(dict(type="InteractingModelsTracker3D", turn_rate=2.0), Tracker, "tracker")
-    with pytest.raises(ConfigurationError, match=r"position_std_m: found 'a', expected a number"):
-        build(spec | dict(position_std_m="a"), Tracker, "tracker")
-    with pytest.raises(ConfigurationError, match="turn_s: found -1"):
-        build(spec | dict(turn_s=-1.0), Tracker, "tracker")

@@ -67,8 +67,3 @@ def test_a_coasting_track_keeps_what_lasts_of_its_errors(kind):
         a, b = (tracker.step(nanoseconds(frame), seen) for tracker in (plain, knowing))
         if len(a):
             assert np.allclose(b.covariance[0, 0, 0] - a.covariance[0, 0, 0], 0.5 * STD_M**2)
-
-
-def test_a_share_out_of_range_is_named():
-    with pytest.raises(ValueError, match="lasting_share"):
-        KalmanBoxTracker3D(lasting_share=1.5)

@@ -1,7 +1,5 @@
 """Trackers of the Stone Soup library as agents' and the command centre's trackers."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable
@@ -192,8 +190,6 @@ def test_random_numbers_are_the_trackers_own() -> None:
     assert uniform.rvs() == before
 
 
-# -- errors ------------------------------------------------------------------------------------------------------------
-
 MISSING = """
 import sys
 sys.modules["stonesoup"] = None
@@ -288,9 +284,7 @@ def resolved(file: Path) -> Resolved:
 
 
 @pytest.mark.parametrize("builder", ["", "my_tracker.py:nearest"])
-def test_a_run_without_stone_soup_is_refused_with_the_command_that_installs_it(
-    mine: Callable[[str], Path], builder: str
-) -> None:
+def test_a_run_without_stone_soup_is_refused_with_the_command_that_installs_it(mine, builder):
     file = mine(builder)
     command = [sys.executable, "-c", MISSING, str(file)]
     process = subprocess.run(command, capture_output=True, text=True, check=False, cwd=file.parent)
@@ -313,9 +307,6 @@ def test_a_wrong_builder_is_refused_before_the_run(mine: Callable[[str], Path], 
         resolved(mine(builder))
 
 
-# -- runs --------------------------------------------------------------------------------------------------------------
-
-
 def assert_equal(a: Path, b: Path) -> None:
     difference = compare(a, b)
     assert difference.first is None, "\n".join(explain(difference))
@@ -323,9 +314,7 @@ def assert_equal(a: Path, b: Path) -> None:
 
 
 @pytest.mark.parametrize("builder", ["", "my_tracker.py:nearest"])
-def test_a_run_tracks_objects_and_gives_the_same_bytes_again(
-    mine: Callable[[str], Path], tmp_path: Path, builder: str
-) -> None:
+def test_a_run_tracks_objects_and_gives_the_same_bytes_again(mine, tmp_path, builder):
     file = mine(builder)
     runs = [launcher.run(resolved(file), tmp_path / name, runtime="inproc") for name in ("a", "b")]
     assert [run.error for run in runs] == [None, None]

@@ -31,9 +31,6 @@ def existence(tracks: ObjectStates) -> np.ndarray:
     return odds / (1.0 + odds)
 
 
-# -- existence
-
-
 @pytest.mark.parametrize(
     ("frames", "least", "most"),
     [
@@ -103,9 +100,6 @@ def test_detections_of_one_object_are_one_track_and_neighbours_are_two(xy, track
     assert len(settled(KalmanBoxTracker3D(), xy, 20)) == tracks
 
 
-# -- motion
-
-
 def test_two_detections_give_a_fast_cars_velocity():
     tracker = KalmanBoxTracker3D()
     for frame in range(4):
@@ -163,9 +157,6 @@ def test_errors_are_consistent_with_the_covariance():
     assert 0.5 < np.mean(errors) < 2.5
 
 
-# -- contract
-
-
 detections = st.lists(
     st.tuples(st.floats(-30, 30), st.floats(-30, 30), st.floats(-3, 3), st.sampled_from(["car", "pedestrian"])),
     max_size=8,
@@ -220,12 +211,6 @@ def test_an_earlier_time_is_refused():
         tracker.step(99, NOTHING)
 
 
-@pytest.mark.parametrize("name", ["detection_probability", "clutter_per_m2", "position_std_m", "jump_probability"])
-def test_an_invalid_parameter_is_refused_by_name(name):
-    with pytest.raises(ValueError, match=f"{name}: found -1.0"):
-        KalmanBoxTracker3D(**{name: -1.0})
-
-
 def test_an_invalid_class_is_treated_as_unknown():
     tracker = KalmanBoxTracker3D()
     for frame in range(4):
@@ -243,9 +228,6 @@ def test_thousands_of_detections_are_processed():
         tracks = tracker.step(nanoseconds(frame), detected(np.concatenate([spread, pile])), view())
         tracker.step(nanoseconds(frame), NOTHING, view())
     assert len(tracks) > 1000
-
-
-# -- full states
 
 
 def test_repeated_states_are_not_counted_as_new_evidence():

@@ -44,9 +44,6 @@ def test_no_row_is_assigned_twice_or_at_positive_cost_and_the_bipartite_assignme
         assert cost[chosen].sum() == table[linear_sum_assignment(table)].sum(), "the least total cost"
 
 
-# -- filter
-
-
 def some_tracks(n: int, seed: int = 0):
     random = np.random.default_rng(seed)
     root = random.normal(size=(n, 9, 9))
@@ -109,9 +106,6 @@ def test_filterpy_and_stone_soup_are_imported_only_when_used():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-# -- covariances from outside
-
-
 @settings(max_examples=100)
 @given(st.lists(st.floats(-1e300, 1e300, allow_nan=False), min_size=9, max_size=9))
 def test_any_finite_matrix_is_repaired(values):
@@ -119,9 +113,6 @@ def test_any_finite_matrix_is_repaired(values):
     assert np.isfinite(np.linalg.inv(result)).all()
     assert np.linalg.eigvalsh(result).min() > 0
     np.testing.assert_array_equal(result, result.transpose(0, 2, 1))
-
-
-# -- inverses
 
 
 @pytest.mark.parametrize("coupled", [True, False])
@@ -132,8 +123,6 @@ def test_the_blockwise_inverse_equals_the_full_inverse(coupled):
         P = P * (block[:, None] == block)
     np.testing.assert_allclose(inverse(P), np.linalg.inv(P), rtol=0, atol=1e-12)
 
-
-# -- what can be seen
 
 CAR = [4.5, 1.8, 1.5]
 NO_BOXES = np.zeros((0, 6))
@@ -169,9 +158,6 @@ def test_an_object_occludes_only_objects_behind_it():
     cars = boxes([[40.0, 0.0, 0.7], [40.0, 15.0, 0.7], [8.0, 0.0, 0.7], [-40.0, 0.0, 0.7]], CAR)
     lorry = boxes([[20.0, 0.0, 1.7]], [9.0, 2.5, 3.5])
     assert all_round([0.0, 0.0, 1.8]).visible_fraction(cars, lorry).tolist() == [0.0, 1.0, 1.0, 1.0]
-
-
-# -- footprints
 
 
 @pytest.mark.parametrize(
