@@ -66,9 +66,7 @@ events = st.tuples(st.integers(-2, 3), st.floats(allow_nan=True), st.floats(allo
 
 
 @given(st.lists(st.lists(events, max_size=3), min_size=1, max_size=30))
-def test_whatever_arrives_a_car_only_does_what_it_can_and_every_frame_is_counted(
-    frames: list[list[tuple[int, float, float]]],
-) -> None:
+def test_whatever_arrives_a_car_only_does_what_it_can_and_every_frame_is_counted(frames):
     actuation, limits = car(), CarLimits()
     for frame, arriving in enumerate(frames):
         for late, acceleration, curvature in arriving:

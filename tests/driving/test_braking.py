@@ -47,19 +47,6 @@ def obeyed(of: int | None = None, informed: bool = True, tampered: str = "") -> 
     return Commands(rows, np.full(FRAMES, informed), [tampered] * FRAMES)
 
 
-def test_a_brake_for_a_false_object_is_needless_and_names_its_adversary() -> None:
-    (brake,) = brakes(ahead(30.0), real=-1, adversary="adversary_1")
-    assert brake["cause"] == {"object": 5, "kind": "false", "adversary": "adversary_1"}
-    assert brake["needless"] is True
-    assert (brake["from_s"], brake["hardest_mps2"]) == (pytest.approx(2.0), pytest.approx(6.0))
-
-
-def test_a_brake_for_a_real_object_is_needful_and_names_it() -> None:
-    (brake,) = brakes(ahead(30.0), real=7, there=ahead(30.0))
-    assert brake["cause"] == {"object": 7, "kind": "real", "adversary": None}
-    assert brake["needless"] is False
-
-
 def test_of_two_objects_the_one_that_asks_for_the_hardest_braking_is_the_cause() -> None:
     near, far = ahead(25.0), ahead(45.0)
     both = RoadUsers(*(np.concatenate(pair) for pair in zip(near, far, strict=True)))
@@ -86,56 +73,19 @@ def test_a_slow_car_brakes_for_what_it_would_hit_within_a_second_and_a_half(real
     assert (brake["cause"]["kind"], brake["needless"]) == (kind, needless)
 
 
-def test_a_brake_before_a_line_is_needful() -> None:
-    x, _ = braking(10)
-    routes = {row: straight(place, stop_m=max(30.0 - place, 0.0)) for row, place in enumerate(x)}
-    (brake,) = brakes(objects([]), real=-1, routes=routes)
-    assert (brake["cause"], brake["needless"]) == ({"object": None, "kind": "line", "adversary": None}, False)
-
-
-def test_a_brake_before_a_bend_is_needful_and_has_no_object() -> None:
-    x, _ = braking(10)
-    routes = {row: straight(place, limit=4.0) for row, place in enumerate(x)}
-    (brake,) = brakes(objects([]), real=-1, routes=routes)
-    assert (brake["cause"]["kind"], brake["needless"]) == ("none", False)
-
-
-def test_a_bend_far_ahead_for_which_rolling_is_enough_is_no_reason() -> None:
-    """From 10 to 8 m/s within 70 m needs 0.26 m/s^2."""
-    x, _ = braking(10)
-    limits = np.where(np.arange(80) < 70, 50.0, 8.0)
-    routes = {row: replace(straight(place), speed=limits) for row, place in enumerate(x)}
-    (brake,) = brakes(objects([]), real=-1, routes=routes)
-    assert (brake["cause"]["kind"], brake["needless"]) == ("none", True)
-
-
-def test_a_brake_by_a_changed_command_is_the_adversarys_whatever_the_driver_believed() -> None:
-    (brake,) = brakes(ahead(30.0), real=7, commands=obeyed(tampered="seizer"))
-    assert brake["cause"] == {"object": None, "kind": "none", "adversary": "seizer"}
-
-
-def test_a_brake_without_a_command_is_nobodys_whatever_the_driver_believed() -> None:
-    (brake,) = brakes(ahead(30.0), real=7, commands=obeyed(of=-1))
-    assert brake["cause"] == {"object": None, "kind": "no command", "adversary": None}
-
-
-def test_commands_that_an_adversary_withholds_are_its_work() -> None:
-    (brake,) = brakes(ahead(30.0), real=7, commands=obeyed(of=-1, tampered="seizer"))
-    assert brake["cause"] == {"object": None, "kind": "no command", "adversary": "seizer"}
-
-
-def test_a_brake_of_a_driver_without_an_estimate_is_for_no_object_and_no_line() -> None:
-    (brake,) = brakes(objects([]), real=-1, commands=obeyed(informed=False))
-    assert brake["cause"] == {"object": None, "kind": "no estimate", "adversary": None}
-
-
-def test_what_counts_is_the_estimate_of_the_command_that_the_car_obeyed() -> None:
-    """The car brakes in frame 10 by the command of frame 8."""
-    informed = np.ones(FRAMES, bool)
-    for row, kind in [(8, "no estimate"), (10, "real")]:
-        late = Commands(np.arange(FRAMES) - 2, np.where(np.arange(FRAMES) == row, False, informed), [""] * FRAMES)
-        (brake,) = brakes(ahead(30.0), real=7, commands=late)
-        assert brake["cause"]["kind"] == kind
+@pytest.mark.parametrize(
+    ("route", "kind", "needless"),
+    [
+        (lambda x: straight(x, stop_m=max(30.0 - x, 0.0)), "line", False),
+        (lambda x: straight(x, limit=4.0), "none", False),
+        # From 10 to 8 m/s within 70 m needs 0.26 m/s^2.
+        (lambda x: replace(straight(x), speed=np.where(np.arange(80) < 70, 50.0, 8.0)), "none", True),
+    ],
+    ids=["a line", "a bend", "a bend far ahead, for which rolling is enough"],
+)
+def test_a_brake_for_what_the_route_asks_is_needful_and_has_no_object(route, kind, needless):
+    (brake,) = brakes(objects([]), real=-1, routes={row: route(x) for row, x in enumerate(braking(10)[0])})
+    assert (brake["cause"], brake["needless"]) == ({"object": None, "kind": kind, "adversary": None}, needless)
 
 
 def test_slowing_down_without_the_brake_light_is_no_brake() -> None:
@@ -205,20 +155,21 @@ def crossers(x: float, y: float, velocity: tuple[float, float], frames: range = 
     return there
 
 
-def test_a_brake_for_what_crosses_is_needful_and_names_it() -> None:
-    """In frame 10 the car is at 10 m; both would be at 30 m two seconds later."""
-    there = crossers(30.0, 16.0, (0.0, -8.0))
-    (brake,) = brakes(there, real=7, there=there)
+#: In frame 10 the car is at 10 m; both would be at 30 m two seconds later.
+CROSSING = crossers(30.0, 16.0, (0.0, -8.0))
+
+
+@pytest.mark.parametrize("reason", [ahead(30.0), CROSSING], ids=["ahead", "crossing"])
+def test_a_brake_is_needful_for_a_real_object_and_needless_for_a_false_one_whose_adversary_it_names(reason):
+    (brake,) = brakes(reason, real=7, there=reason)
     assert (brake["cause"], brake["needless"]) == ({"object": 7, "kind": "real", "adversary": None}, False)
-
-
-def test_a_brake_for_what_seems_to_cross_is_needless_and_names_its_adversary() -> None:
-    (brake,) = brakes(crossers(30.0, 16.0, (0.0, -8.0)), real=-1, adversary="adversary_1")
-    assert (brake["cause"]["kind"], brake["cause"]["adversary"], brake["needless"]) == ("false", "adversary_1", True)
+    (brake,) = brakes(reason, real=-1, adversary="adversary_1")
+    assert (brake["cause"], brake["needless"]) == ({"object": 5, "kind": "false", "adversary": "adversary_1"}, True)
+    assert (brake["from_s"], brake["hardest_mps2"]) == (pytest.approx(2.0), pytest.approx(6.0))
 
 
 def test_a_brake_for_a_ghost_ahead_is_needless_although_real_traffic_crosses() -> None:
-    (brake,) = brakes(ahead(30.0), real=-1, there=crossers(30.0, 16.0, (0.0, -8.0)))
+    (brake,) = brakes(ahead(30.0), real=-1, there=CROSSING)
     assert (brake["cause"]["kind"], brake["needless"]) == ("false", True)
 
 
@@ -238,9 +189,7 @@ def test_a_slight_reason_does_not_excuse_a_hard_brake_for_a_ghost(ghost: RoadUse
     [(0.0, True), (2.9, True), (3.1, False), (6.0, False)],
     ids=["none", "slight", "half", "all"],
 )
-def test_a_brake_is_needless_if_its_driver_on_the_truth_brakes_not_half_as_hard(
-    on_truth: float, needless: bool
-) -> None:
+def test_a_brake_is_needless_if_its_driver_on_the_truth_brakes_not_half_as_hard(on_truth, needless):
     """Also for what is there, and whatever a model of driving says."""
     for there in (ahead(30.0), objects([])):
         commanded = np.where(np.arange(FRAMES) < 12, on_truth, 9.0)
@@ -276,9 +225,7 @@ def test_what_a_replay_leaves_out_makes_the_cause_unknown_where_it_would_tell() 
         ((5.0, 3.5), (11.0, -0.5)),  # it comes into the lane behind the car
     ],
 )
-def test_what_the_car_does_not_meet_is_no_reason_for_a_brake(
-    place: tuple[float, float], velocity: tuple[float, float]
-) -> None:
+def test_what_the_car_does_not_meet_is_no_reason_for_a_brake(place, velocity):
     there = crossers(*place, velocity)
     (brake,) = brakes(there, real=7, there=there)
     assert (brake["cause"]["kind"], brake["needless"]) == ("none", True)
@@ -287,9 +234,7 @@ def test_what_the_car_does_not_meet_is_no_reason_for_a_brake(
 @settings(max_examples=40)
 @example(x=21.0, y=-12.0, vx=1.0, vy=4.0)  # it crosses, and goes along a little
 @given(x=st.floats(15.0, 45.0), y=st.floats(-30.0, 30.0), vx=st.floats(-8.0, 8.0), vy=st.floats(-8.0, 8.0))
-def test_what_would_be_hit_ahead_of_the_car_at_constant_velocities_crosses_or_is_in_the_corridor(
-    x: float, y: float, vx: float, vy: float
-) -> None:
+def test_what_would_be_hit_ahead_of_the_car_at_constant_velocities_crosses_or_is_in_the_corridor(x, y, vx, vy):
     """By outlines that move, looked at every 50 ms: what touches the front half of the car first."""
     there = crossers(x, y, (vx, vy), range(10, 11))._replace(frame=np.zeros(1, np.int64))
     own = car([0.0], [8.0])

