@@ -1,7 +1,5 @@
 """A faulted run in the tiny world, and copies of its record with planted errors."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Checks of finished runs: on recorded faults, and those in a scenario's files."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -45,9 +43,6 @@ NAMES = ["collation", "convergence", "sequences", "processes"]
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A run with many faults, and its record."""
     return recorded(tmp_path_factory.mktemp("run") / "faulted", faults=FAULTS)
-
-
-# -- a sound run -----------------------------------------------------------------------------------------------------
 
 
 def test_all_checks_pass_on_a_run_with_faults_but_no_attack(run: Run) -> None:
@@ -95,14 +90,9 @@ def test_a_run_without_recording_is_not_checked(tmp_path: Path) -> None:
         (dict(status="interrupted"), "the run did not finish: interrupted"),
     ],
 )
-def test_an_incomplete_record_is_not_checked(
-    run: Run, tmp_path: Path, completeness: dict[str, Any], reason: str
-) -> None:
+def test_an_incomplete_record_is_not_checked(run, tmp_path, completeness, reason):
     results = checked(edited(run, tmp_path, **completeness), run[1])
     assert {name: results[name].detail for name in NAMES[:3]} == dict.fromkeys(NAMES[:3], f"not checked: {reason}")
-
-
-# -- faults that must be found ---------------------------------------------------------------------------------------
 
 
 def problems(run: Run, out: Path, change: Any) -> dict[str, str]:
@@ -128,11 +118,7 @@ def without_reports(message: Recorded) -> list[None]:
 #: Changes of the record, the checks that fail, and what one of them says.
 PLANTED: dict[str, tuple[Any, set[str], str]] = {
     "nothing": (lost(), set(), ""),
-    "no agent": (
-        collated(lambda body: without_agent(body, "infra_2")),
-        {"collation"},
-        "frame 30: infra_2 delivered",
-    ),
+    "no agent": (collated(lambda body: without_agent(body, "infra_2")), {"collation"}, "frame 30: infra_2 delivered"),
     "no track": (collated(without_row), {"collation"}, ""),
     "old tracks": (collated(lambda body: body | {"age_ns": body["age_ns"] + 100_000_000}), {"collation"}, ""),
     "no batch": (lost(("cc/collated", 30)), {"collation", "sequences"}, "no batch"),
@@ -214,22 +200,14 @@ def test_a_process_left_running_is_detected(run: Run, tmp_path: Path) -> None:
     assert checked(copy, resolved)["processes"].ok
 
 
-# -- real time -------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("late", "ok"), [({"infra_2": 1}, True), ({"ego": 1}, False), ({}, False)])
-def test_in_real_time_messages_that_the_broker_counted_as_late_may_be_missing(
-    run: Run, tmp_path: Path, late: dict[str, int], ok: bool
-) -> None:
+def test_in_real_time_messages_that_the_broker_counted_as_late_may_be_missing(run, tmp_path, late, ok):
     folder, resolved = run
     change = changed("cc/collated", lambda frame, body: without_agent(body, "infra_2") if frame == 32 else None)
     copy = rewritten(folder, resolved, tmp_path / "copy", change)
     metrics = json.loads((copy / "metrics.json").read_text())
     (copy / "metrics.json").write_text(json.dumps(metrics | {"late": late}))
     assert checked(copy, replace(resolved, mode="realtime"))["collation"].ok is ok
-
-
-# -- cases that are not checked --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -256,9 +234,6 @@ def test_a_run_that_ends_soon_after_the_heal_is_too_short_to_judge(run: Run, tmp
     )
 
 
-# -- the reference ---------------------------------------------------------------------------------------------------
-
-
 def test_the_reference_is_the_picture_of_the_run_without_links_and_faults(run: Run, tmp_path: Path) -> None:
     folder, _ = recorded(tmp_path / "plain", frames=FRAMES)
     plain = {m.frame: m.payload for m in read(folder) if m.key == "cc/picture"}
@@ -282,9 +257,6 @@ def test_the_reference_has_no_links_and_links_of_user_maps_have_no_rules() -> No
     assert own.nodes["bad"].config["rules_down"] == []
 
 
-# -- convergence -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("distance", "after_s"),
     [
@@ -295,9 +267,7 @@ def test_the_reference_has_no_links_and_links_of_user_maps_have_no_rules() -> No
         ([2.0, 0.1, 0.1, 0.1], 0.0),
     ],
 )
-def test_convergence_is_reached_when_the_distance_stays_below_the_threshold(
-    distance: list[float], after_s: float | None
-) -> None:
+def test_convergence_is_reached_when_the_distance_stays_below_the_threshold(distance, after_s):
     times_s = np.array([0.0, 1.0, 2.0, 3.0])
     assert convergence.converged_after(np.array(distance), times_s, 1.5) == after_s
 

@@ -1,7 +1,5 @@
 """Inserted objects without ids are tracked through noise and gaps."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mast_zenoh.effects import EFFECTS, Effects

@@ -1,7 +1,5 @@
 """Effects are what subscribers see: the first message about a frame."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

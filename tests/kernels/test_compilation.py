@@ -1,7 +1,5 @@
 """A build without kernels, and every run that is slower for it, says why."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -38,12 +36,10 @@ print("reason:", len(built), reason)
     ("compiler", "reason"),
     [
         ("", " 1 \n"),
-        ("false", "0 the C compiler failed: false returned 1"),
         ("echo 'cc1: fatal error: no space' >&2; exit 1", "0 the C compiler failed: cc1: fatal error: no space"),
-        ("echo Killed >&2; exit 9", "compiler returned 9: Killed"),
         ("no-such-compiler", "0 there is no C compiler: [Errno 2] No such file or directory: 'no-such-compiler'"),
     ],
-    ids=["a working compiler", "CC=false", "an error", "another last line", "no compiler"],
+    ids=["a working compiler", "an error", "no compiler"],
 )
 def test_a_build_keeps_the_compilers_last_line(tmp_path, compiler, reason):
     pytest.importorskip("hatchling")

@@ -1,7 +1,5 @@
 """Compiled kernels equal their NumPy references, which replace missing ones."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import importlib

@@ -1,10 +1,10 @@
-"""The newest tracks that were heard from others, at any later time."""
+"""The newest tracks that were heard from others, and the agents whose tracks have ever been in an object."""
 
 import numpy as np
-import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.pipelines.heard import HeardTracks
+from mast_zenoh.pipelines.origins import Origins
 
 PERIOD_NS = 100_000_000
 
@@ -32,19 +32,12 @@ def test_a_message_is_predicted_to_the_present() -> None:
     np.testing.assert_allclose(of(heard, "a", 4 * PERIOD_NS).position[0], [1.0, 1.0, 0.0])
 
 
-def test_a_new_message_replaces_all_objects_of_its_sender() -> None:
-    heard = HeardTracks()
-    heard.add("a", 0, tracks(1, 2))
-    heard.add("a", PERIOD_NS, tracks(2))
-    assert of(heard, "a", 2 * PERIOD_NS).id.tolist() == [2]
-
-
-def test_an_older_message_changes_nothing() -> None:
-    heard = HeardTracks()
-    heard.add("a", PERIOD_NS, tracks(2))
-    heard.add("a", 0, tracks(1))
-    heard.add("a", PERIOD_NS, tracks(3))
-    assert of(heard, "a", PERIOD_NS).id.tolist() == [2]
+def test_the_newest_message_of_a_sender_replaces_all_its_objects_whatever_comes_later() -> None:
+    for messages in ([(0, (1, 2)), (1, (2,))], [(1, (2,)), (0, (1,)), (1, (3,))]):
+        heard = HeardTracks()
+        for frame, ids in messages:
+            heard.add("a", frame * PERIOD_NS, tracks(*ids))
+        assert of(heard, "a", 2 * PERIOD_NS).id.tolist() == [2]
 
 
 def test_with_a_memory_an_object_that_was_left_out_is_kept_for_that_long() -> None:
@@ -75,6 +68,25 @@ def test_what_is_too_old_is_not_used() -> None:
     assert heard.at(4 * PERIOD_NS).names == ()
 
 
-def test_invalid_times_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"memory_s: found -1\.0, expected 0 to 60 s"):
-        HeardTracks(-1.0)
+ALL = ["a", "b", "c"]
+
+
+def one_hot(*names: str) -> np.ndarray:
+    return np.array([[name == each for each in ALL] for name in names], bool).reshape(len(names), 3)
+
+
+def test_origins_are_those_of_all_members_and_last_as_long_as_the_object() -> None:
+    origins = Origins()
+    first = origins.update(np.array([5, 9]), np.array([0, 0, 1]), one_hot("a", "b", "c"), ALL)
+    assert first.tolist() == [[True, True, False], [False, False, True]]
+    second = origins.update(np.array([5, 7]), np.array([0, 1, -1]), one_hot("c", "b", "a"), ALL)
+    assert second.tolist() == [[True, True, True], [False, True, False]], "9 has gone, 7 is new"
+    third = origins.update(np.array([5, 9]), np.zeros(0, np.int64), one_hot(), ALL)
+    assert third.tolist() == [[True, True, True], [False, False, False]], "9 is another object now"
+
+
+def test_agents_come_and_go() -> None:
+    origins = Origins()
+    origins.update(np.array([1]), np.array([0, 0]), one_hot("a", "c"), ALL)
+    fewer = origins.update(np.array([1]), np.array([0]), np.array([[True]]), ["b"])
+    assert fewer.tolist() == [[True]]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh.arrays.geometry import heading
-from mast_zenoh.driving import Driver, FollowingDriver, ProposalDriver, Situation
+from mast_zenoh.driving import FollowingDriver, ProposalDriver, Situation
 from mast_zenoh.driving.contact import collisions
 from mast_zenoh.driving.proposals import OFFSETS_M
 from mast_zenoh.metrics.driving import RoadUsers, VehicleCourse
@@ -30,9 +30,7 @@ LANE_M = 0.8
         ],
     ],
 )
-def test_cars_that_see_the_truth_of_a_frame_ago_hit_nothing_and_keep_to_their_lanes(
-    driver: type[Driver], scene_index: int, seed: int, frames: int
-) -> None:
+def test_cars_that_see_the_truth_of_a_frame_ago_hit_nothing_and_keep_to_their_lanes(driver, scene_index, seed, frames):
     world = Intersection(scene_index=scene_index, n_infrastructure=0, n_mobile=2).world(seed, None)
     beside = LANE_M if driver is FollowingDriver else LANE_M + max(OFFSETS_M)
     drivers, known, moved = defaultdict(driver), None, 0.0

@@ -1,7 +1,5 @@
 """Detections of a user's own detector are replayed in any scene, whatever their format."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -137,9 +135,7 @@ def test_scores_of_any_size_become_confidences_in_the_same_order(tmp_path: Path)
     np.testing.assert_allclose(score[1], 0.5)
 
 
-def test_a_shorter_run_leaves_out_later_frames_and_a_whole_one_refuses_them(
-    saved: Path, whole: Recording, tmp_path: Path
-) -> None:
+def test_a_shorter_run_leaves_out_later_frames_and_a_whole_one_refuses_them(saved, whole, tmp_path):
     folder = write_folder(tmp_path / "d", whole)
     part = OwnDetections(scene=RecordingFile(path=str(saved)), path=str(folder)).record(0, 2)
     assert len(part.detections) == whole.detection_start[4]
@@ -176,9 +172,7 @@ def test_any_scene_takes_detections_in_a_scenario(saved: Path, whole: Recording,
         ("0,2,0,0,0,0,1,1,1,1,1,1,1,nan,0", "line 2: yaw is nan"),
     ],
 )
-def test_a_damaged_line_is_refused_by_file_and_number(
-    line: str, message: str, saved: Path, whole: Recording, tmp_path: Path
-) -> None:
+def test_a_damaged_line_is_refused_by_file_and_number(line, message, saved, whole, tmp_path):
     folder = write_folder(tmp_path / "d", whole)
     lines = (folder / "ego.txt").read_text().splitlines()
     (folder / "ego.txt").write_text("\n".join([lines[0], line, *lines[2:]]))
@@ -211,9 +205,7 @@ def test_a_missing_file_is_refused_by_name(saved: Path, whole: Recording, tmp_pa
         (dict(xx=-1.0), "row 0: covariance is .*, expected a symmetric matrix"),
     ],
 )
-def test_a_damaged_table_is_refused_by_column_and_row(
-    changes: dict, message: str, saved: Path, whole: Recording, tmp_path: Path
-) -> None:
+def test_a_damaged_table_is_refused_by_column_and_row(changes, message, saved, whole, tmp_path):
     n = len(whole.detections)
     columns = {name: None if value is None else [value] * n for name, value in changes.items()}
     with pytest.raises(SceneError, match=f"d.parquet: .*{message}"):

@@ -120,9 +120,7 @@ def test_an_unwritable_cache_is_not_an_error(recording: Recording, folder: Path)
     assert len(prepare(Counted(recording), 1, None, "a")) == 2
 
 
-def test_the_cache_removes_least_recently_used_files(
-    recording: Recording, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_cache_removes_least_recently_used_files(recording, folder, monkeypatch):
     scene = Counted(recording)
     prepare(scene, 1, None, "a")
     (first,) = folder.iterdir()
@@ -140,9 +138,7 @@ def test_a_relative_cache_home_is_ignored(monkeypatch: pytest.MonkeyPatch) -> No
     assert cache_folder() == Path.home() / ".cache" / "mast-zenoh" / "scenes"
 
 
-def test_changed_code_of_a_sensors_detector_invalidates_a_prepared_scene(
-    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_changed_code_of_a_sensors_detector_invalidates_a_prepared_scene(recording, tmp_path, monkeypatch):
     """It is a part of a part of the scene."""
     file = tmp_path / "my_detector.py"
     file.write_text("from mast_zenoh.sensing import CleanDetector\n\n\nclass Mine(CleanDetector): ...\n")

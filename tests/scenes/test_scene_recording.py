@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import tracemalloc
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -61,10 +60,6 @@ def test_a_broken_file_is_refused_by_name(recording: Recording, tmp_path: Path, 
         Recording.load(path)
 
 
-def test_a_valid_recording_passes_validation(recording: Recording) -> None:
-    recording.validate()
-
-
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -84,29 +79,12 @@ def test_an_invalid_recording_is_refused_with_the_reason(recording: Recording, c
 
 
 def test_two_rows_of_one_object_in_a_frame_are_refused(recording: Recording) -> None:
+    recording.validate()
     with pytest.raises(SceneError, match="frame 0 has two truth rows with the same id"):
         replace(recording, truth=recording.truth.with_(id=np.array([7, 7, 7]))).validate()
 
 
-def test_a_prepared_scene_that_unpacks_to_more_than_its_own_size_is_refused_unread(
-    recording: Recording, tmp_path: Path
-) -> None:
-    recording.save(tmp_path / "sound.npz")
-    with np.load(tmp_path / "sound.npz") as file:
-        arrays = {name: file[name] for name in file.files}
-    np.savez_compressed(tmp_path / "scene.npz", **arrays | {"points": np.zeros((40_000, 1000), np.int32)})
-    tracemalloc.start()
-    try:
-        with pytest.raises(SceneError, match=r"scene\.npz: not a prepared scene: unpacks to \d+ bytes, more than its"):
-            Recording.load(tmp_path / "scene.npz")
-        assert tracemalloc.get_traced_memory()[1] < 10_000_000
-    finally:
-        tracemalloc.stop()
-
-
-def test_a_prepared_scene_that_claims_more_rows_than_memory_holds_is_refused(
-    recording: Recording, tmp_path: Path
-) -> None:
+def test_a_prepared_scene_that_claims_more_rows_than_memory_holds_is_refused(recording, tmp_path):
     recording.save(tmp_path / "scene.npz")
     content = (tmp_path / "scene.npz").read_bytes()
     shape = b"'shape': (2,), }"
@@ -132,9 +110,7 @@ ANY_ARRAY = npst.arrays(
 
 @settings(max_examples=300)
 @given(data=st.data())
-def test_any_change_of_a_saved_file_is_read_or_refused(
-    data: st.DataObject, saved: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_any_change_of_a_saved_file_is_read_or_refused(data, saved, tmp_path_factory):
     path = tmp_path_factory.mktemp("scene") / "scene.npz"
     with np.load(saved) as file:
         arrays = {name: file[name] for name in file.files}

@@ -46,9 +46,7 @@ def junction(sensors: dict[str, Any], frames: int = 6) -> Recording:
     frames=st.integers(1, 40),
     start_ns=st.integers(0, 10**12),
 )
-def test_every_measurement_is_new_in_the_one_frame_at_or_after_it(
-    frame_ns: int, ratio: int, phase: float, frames: int, start_ns: int
-) -> None:
+def test_every_measurement_is_new_in_the_one_frame_at_or_after_it(frame_ns, ratio, phase, frames, start_ns):
     period_ns = frame_ns * ratio // 1000
     times = start_ns + np.arange(frames, dtype=np.int64) * frame_ns
     schedule = SensorSchedule.regular(times, period_ns, int(phase * period_ns))

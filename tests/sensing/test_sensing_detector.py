@@ -102,38 +102,11 @@ def test_clutter_is_poisson_in_view_and_on_the_ground(white: bool) -> None:
     np.testing.assert_allclose(position[:, 2], size[:, 2] / 2, atol=1e-9)
 
 
-def test_the_order_of_the_objects_does_not_matter() -> None:
-    truth, points = objects(30), np.arange(10, 40, dtype=np.int32)
-    order = np.random.default_rng(0).permutation(30)
-    one = DetectionModel().detect(truth, points, LIDAR, POLE, DOWN, 0.0, stream(1, "x"))
-    other = DetectionModel().detect(truth.select(order), points[order], LIDAR, POLE, DOWN, 0.0, stream(1, "x"))
-    np.testing.assert_array_equal(one[1], other[1])
-    np.testing.assert_array_equal(one[0].position, other[0].position)
-
-
 def test_detections_are_sorted_by_score_so_clutter_is_not_revealed_by_order() -> None:
     detections, ids = detected(DetectionModel(clutter_rate=8.0), np.full(20, 200, np.int32))
     assert (np.diff(detections.score) <= 0).all()
     assert (ids == -1).any()
     assert not (np.flatnonzero(ids == -1) >= (ids != -1).sum()).all()
-
-
-def test_without_returns_and_clutter_there_are_no_detections() -> None:
-    detections, ids = detected(DetectionModel(clutter_rate=0.0), np.zeros(10, np.int32))
-    assert len(detections) == len(ids) == 0
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("points_scale", 0.0), ("clutter_rate", -1.0), ("wrong_class", 1.5), ("score", (0.9, 0.3)), ("few_points", -1.0)]
-    + [(name, 0.0) for name in ("error_s", "miss_s", "clutter_s", "blip_s")]
-    + [(name, 1.5) for name in ("view_share", "white_share", "lasting_clutter")]
-    + [("view_angle_deg", 20.0), ("white", "no")]
-    + [(name, 1001.0) for name in ("points_scale", "range_scale_m", "position_noise_m", "clutter_rate", "min_points")],
-)
-def test_invalid_parameters_are_refused_by_name(name: str, value: object) -> None:
-    with pytest.raises(ValueError, match=f"{name}: found .*, expected"):
-        DetectionModel(**{name: value})
 
 
 def test_shares_of_the_errors_that_are_more_than_all_are_refused() -> None:

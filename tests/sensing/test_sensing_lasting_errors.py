@@ -125,14 +125,3 @@ def test_every_sensor_has_a_memory_of_its_own_and_a_shorter_scene_is_the_beginni
             np.testing.assert_array_equal(one.position, other.position)
             if agent < 2:
                 np.testing.assert_array_equal(one.position, fewer.detections_at(frame, agent).position)
-
-
-@pytest.mark.parametrize("parameter", ["error_s", "miss_s", "clutter_s"])
-def test_a_time_constant_of_zero_is_refused(parameter: str) -> None:
-    with pytest.raises(ValueError, match=f"{parameter}: found 0, expected more than 0"):
-        LastingErrors(**{parameter: 0})
-
-
-def test_a_share_above_one_is_refused() -> None:
-    with pytest.raises(ValueError, match="white_share: found 2"):
-        LastingErrors(white_share=2)

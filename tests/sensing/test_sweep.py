@@ -36,22 +36,6 @@ def test_the_own_vehicle_does_not_count() -> None:
     assert (swept(LidarSensor(), box(0.0, 0.0), own=0) == 100.0).all()
 
 
-def test_a_wall_ends_it_below_its_top() -> None:
-    square = np.array([[30.0, -50.0], [40.0, -50.0], [40.0, 50.0], [30.0, 50.0]])
-    free = swept(LidarSensor(), walls=Walls.of_buildings((square,), np.array([2.0])))
-    sectors = free.shape[1]
-    assert free[0, sectors // 2] < 33.0
-    assert free[-1, sectors // 2] == 100.0, "the beams that look up pass over it"
-
-
-def test_a_wall_across_the_negative_x_axis_is_seen() -> None:
-    square = np.array([[-40.0, -50.0], [-30.0, -50.0], [-30.0, 50.0], [-40.0, 50.0]])
-    free = swept(LidarSensor(), walls=Walls.of_buildings((square,), np.array([50.0])))
-    assert free[:, 0].max() < 33.0
-    assert free[:, -1].max() < 33.0
-    assert free[:, free.shape[1] // 2].min() == 100.0
-
-
 @pytest.mark.parametrize("turn", [0.0, 1.0, -2.5])
 def test_it_turns_with_the_sensor(turn: float) -> None:
     place = 20.0 * np.array([np.cos(turn), np.sin(turn)])
