@@ -1,7 +1,5 @@
 """Runs with an integrity stage: the picture has fewer false objects, in every order of delivery alike."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -34,16 +32,12 @@ def quiet(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
     return unjudged(tmp_path_factory, adversaries=0)
 
 
-@pytest.mark.parametrize(("defence", "lost"), [("KOfN", 0.15), ("FreeSpace", 0.05), ("Mate", 0.05)])
-def test_most_false_objects_of_one_adversary_are_withheld(
-    play: Any, undefended: mast.Run, quiet: mast.Run, defence: str, lost: float
-) -> None:
-    """`KOfN` loses some more real objects: those that all but one agent miss for a while."""
-    run = play("defended", frames=FRAMES, seed=SEED, defence=defence, n_adversaries=1, report=False)
+def test_most_false_objects_of_one_adversary_are_withheld(play: Any, undefended: mast.Run, quiet: mast.Run) -> None:
+    run = play("defended", frames=FRAMES, seed=SEED, defence="FreeSpace", n_adversaries=1, report=False)
     added = false_objects(undefended) - false_objects(quiet)
     assert false_objects(run) - false_objects(quiet) < 0.5 * added
     missed = [each.summary["agents"]["ego"]["picture"]["fn"]["mean"] for each in (run, undefended)]
-    assert missed[0] < missed[1] + lost, "hardly any real object is withheld"
+    assert missed[0] < missed[1] + 0.05, "hardly any real object is withheld"
 
 
 def test_the_egos_veto_removes_what_it_sees_through(play: Any, undefended: mast.Run) -> None:
@@ -53,6 +47,5 @@ def test_the_egos_veto_removes_what_it_sees_through(play: Any, undefended: mast.
     assert false_objects(run) == false_objects(undefended), "the picture is the same"
 
 
-@pytest.mark.parametrize("defence", ["FreeSpace", "Plausibility"])
-def test_a_defended_run_is_the_same_in_every_order_of_delivery(defence: str) -> None:
-    testing.check_scenario("defended", frames=15, n_infrastructure=2, n_adversaries=1, defence=defence)
+def test_a_defended_run_is_the_same_in_every_order_of_delivery() -> None:
+    testing.check_scenario("defended", frames=15, n_infrastructure=2, n_adversaries=1, defence="FreeSpace")

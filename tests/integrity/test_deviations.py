@@ -41,15 +41,6 @@ def three(**changed: Floats) -> Deviations:
     return measured(replace(given, states=given.states.with_(**columns)))
 
 
-def test_the_deviation_of_one_of_three_is_seen_in_its_own_track() -> None:
-    given = batch([("a", 0, (0.0, 0.0)), ("b", 0, (0.1, 0.0)), ("c", 0, (1.5, 0.0))], AGENTS)
-    found = measured(given)
-    assert found.agent.tolist() == [0, 1, 2]
-    metres = found.whitened[:, POSITION] * found.std[:, POSITION, None]
-    assert metres[:, 0] == pytest.approx([-0.1, 0.0, 1.4])
-    assert not metres[:, 1].any()
-
-
 def test_the_middle_is_that_of_the_agents_that_count() -> None:
     tracks: list[Track] = [(name, 0, (float(x), 0.0)) for x, name in enumerate("abcd")]
     found = measured(batch(tracks, tuple("abcd")), 0.0, 1.0, 1.0, 1.0)

@@ -25,9 +25,7 @@ def car_and_person(frame: int, speed_mps: float, reporting: str) -> Batch:
 
 
 @pytest.mark.parametrize(("speed_mps", "believed"), [(8.0, False), (0.0, True)])
-def test_who_reported_a_person_that_drives_along_is_not_believed_about_one_at_a_car_that_stands(
-    speed_mps: float, believed: bool
-) -> None:
+def test_who_reported_a_person_that_drives_along_is_not_believed_about_one_at_a_car_that_stands(speed_mps, believed):
     stage = SequentialConsistency()
     for frame in range(5):
         stage.assess(car_and_person(frame, speed_mps, "e"))

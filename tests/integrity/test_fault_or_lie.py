@@ -30,6 +30,12 @@ def seen_by(
     return states, np.repeat(np.arange(agents), cars), labels
 
 
+def judged(stage: FaultOrLie, frame: int, states: ObjectStates, agent, labels, names: tuple[str, ...]):
+    """The stage's trust in agents without views."""
+    states, _ = stage.correct(frame * STEP_NS, states, agent, names, {})
+    return stage.assess(Batch(frame * STEP_NS, states, agent, labels, names, (None,) * len(names))).agents
+
+
 def assessed(fault: tuple[float, float, float, float], lies: int = 0, frames: int = 60, standing: int = 0):
     """Four agents that all see twelve cars, most of them moving; `d` has a fault and moves some tracks by 1.5 m."""
     random = np.random.default_rng(3)
@@ -42,9 +48,8 @@ def assessed(fault: tuple[float, float, float, float], lies: int = 0, frames: in
         moved = states.position.copy()
         moved[(agent == 3) & (labels < lies), 0] += 1.5
         states = states.with_(position=moved)
-        states, _ = stage.correct(frame * STEP_NS, states, agent, AGENTS, {})
-        last = stage.assess(Batch(frame * STEP_NS, states, agent, labels, AGENTS, (None,) * 4))
-    return last.agents
+        last = judged(stage, frame, states, agent, labels, AGENTS)
+    return last
 
 
 @pytest.mark.parametrize(
@@ -65,21 +70,10 @@ def test_a_wrong_clock_is_found_although_most_objects_stand() -> None:
     assert -found.delay[3] == pytest.approx(0.15, abs=0.05)
 
 
-def test_moving_some_objects_is_a_lie_not_a_fault() -> None:
-    found = assessed((0.0, 0.0, 0.0, 0.0), lies=2)
-    assert found.state.tolist()[3] == SUSPENDED
-
-
-def test_a_fault_does_not_excuse_a_lie() -> None:
-    found = assessed((1.0, 0.5, 0.0, 0.0), lies=2)
-    assert found.state.tolist()[3] == SUSPENDED
-    assert SUSPENDED not in found.state[:3]
-
-
-def test_agents_without_faults_are_left_alone() -> None:
-    found = assessed((0.0, 0.0, 0.0, 0.0))
-    assert not set(found.state.tolist()) & {FAULTY, SUSPENDED}
-    assert not found.offset.any()
+@pytest.mark.parametrize("fault", [(0.0, 0.0, 0.0, 0.0), (1.0, 0.5, 0.0, 0.0)])
+def test_moving_some_objects_is_a_lie_and_a_fault_does_not_excuse_it(fault):
+    found = assessed(fault, lies=2)
+    assert (found.state == SUSPENDED).tolist() == [False, False, False, True]
 
 
 @pytest.mark.parametrize("shift", [(1.0, 0.5), (0.7, 0.4)])
@@ -95,8 +89,7 @@ def test_two_that_move_all_their_tracks_alike_blame_no_other(shift: tuple[float,
         shared = (agent > 0) | (labels < 6)
         rows = np.flatnonzero(shared & ~((agent == 1) & (labels < 4)))
         states, of_rows = states.select(rows), agent[rows]
-        corrected, _ = stage.correct(frame * STEP_NS, states, of_rows, names, {})
-        last = stage.assess(Batch(frame * STEP_NS, corrected, of_rows, labels[rows], names, (None,) * 5)).agents
+        last = judged(stage, frame, states, of_rows, labels[rows], names)
     assert (last.state == FAULTY).tolist() == [False, False, False, True, True]
     assert SUSPENDED not in last.state
 
@@ -114,8 +107,7 @@ def test_agents_that_left_or_send_no_tracks_do_not_disturb_the_search_for_a_faul
         agent = np.array(senders)[agent]
         if not early:
             states.position[agent == names.index("f"), 0] += 1.0
-        corrected, _ = stage.correct(frame * STEP_NS, states, agent, names, {})
-        last = stage.assess(Batch(frame * STEP_NS, corrected, agent, labels, names, (None,) * len(names))).agents
+        last = judged(stage, frame, states, agent, labels, names)
     assert (last.state == FAULTY).tolist() == [False, False, False, True]
 
 

@@ -111,9 +111,3 @@ def test_without_gossip_the_assessment_is_that_of_the_stage() -> None:
     assert with_hearsay.weights is None
     assert np.array_equal(with_hearsay.agents.state, alone.agents.state)
     assert with_hearsay.agents.reason == alone.agents.reason
-
-
-@pytest.mark.parametrize("weight", [-0.1, 0.6, np.nan])
-def test_a_weight_with_which_hearsay_alone_would_suspend_is_refused(weight: float) -> None:
-    with pytest.raises(ValueError, match="weight: found"):
-        Hearsay(weight=weight)

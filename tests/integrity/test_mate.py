@@ -1,9 +1,7 @@
-"""`Mate` gives the values of the published method, with its known weaknesses.
+"""`Mate` gives the values of the published method.
 
 The expected values are computed by hand from the formulas of cpsl-research/lib-avstack-trust.
 """
-
-from __future__ import annotations
 
 import math
 
@@ -107,32 +105,6 @@ def test_sixty_batches_give_the_values_of_the_formulas() -> None:
         expected = [alpha / (alpha + beta) for alpha, beta in (by_hand.objects[each] for each in objects)]
         assert found.objects.trust == pytest.approx(expected, rel=1e-9), frame
     assert found.objects.trust[2] < 0.4 < found.objects.trust[:2].min(), "and the values are not all alike"
-
-
-# The known weaknesses.
-
-
-def test_weakness_a_phantom_with_one_witness_stays_at_one_half_and_is_accepted() -> None:
-    mate = Mate()
-    for frame in range(100):
-        assessment = mate.assess(batch([("a", 0, (0.0, 0.0))], ("a",), VIEWS, frame=frame))
-        assert assessment.objects.trust == pytest.approx([0.5])
-        assert not assessment.objects.withheld.any()
-
-
-def test_weakness_a_claim_near_an_object_is_evidence_for_it_whatever_the_agents_trust() -> None:
-    mate = Mate()
-    lies: list[Track] = [("a", 0, (0.0, 0.0))]
-    for frame in range(30):
-        before = mate.assess(batch(lies, AGENTS, VIEWS, frame=frame)).agents.mean
-    # Its claim is 1.9 m from the one of a trusted agent, and counts as much as it is trusted: more than nothing.
-    near: list[Track] = [("b", 0, (40.0, 0.0)), ("a", 0, (41.9, 0.0))]
-    after = mate.assess(batch(near, ("a", "b"), {}, frame=30))
-    assert before[0] < 0.1
-    # alpha 0.5 + (E[a] + E[b]) / 2, beta 0.5.
-    alpha = 0.5 + 0.5 * (before[0] + before[1])
-    assert after.objects.trust == pytest.approx([alpha / (alpha + 0.5)])
-    assert after.objects.confirming.tolist() == [2]
 
 
 def test_evidence_can_be_counted_once_a_second() -> None:

@@ -1,7 +1,5 @@
 """Objects and agents are followed from batch to batch."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mast_zenoh.integrity import memory as module

@@ -1,7 +1,5 @@
 """`Plausibility`: what no road user does is withheld."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`Prbi`: random groups are compared with the last believed picture, and nobody is trusted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import floor, log2, sqrt
 
@@ -37,17 +35,12 @@ def suspended(stage: Prbi, each: Batch) -> set[str]:
     return {name for name, value in zip(each.agents, state.tolist(), strict=True) if value == SUSPENDED}
 
 
-# -- the formulas
-
-
 @given(
     groups=st.lists(st.tuples(st.lists(st.booleans(), min_size=4, max_size=4), st.booleans()), max_size=12),
     before=st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4),
     short_term=st.floats(0.0, 1.0),
 )
-def test_the_probability_is_bayes_rule_with_counted_shares(
-    groups: list[tuple[list[bool], bool]], before: list[float], short_term: float
-) -> None:
+def test_the_probability_is_bayes_rule_with_counted_shares(groups, before, short_term):
     found = posterior(
         np.array([members for members, _ in groups], np.bool_).reshape(-1, 4),
         np.array([normal for _, normal in groups], np.bool_),
@@ -84,9 +77,7 @@ def test_the_number_of_attackers_follows_from_the_share_of_normal_groups(outcome
 @given(
     estimates=st.lists(st.floats(0.0, 4.0), max_size=8), number=st.integers(0, 4), level=st.sampled_from([0.01, 0.05])
 )
-def test_an_estimate_has_settled_if_a_t_test_does_not_reject_it(
-    estimates: list[float], number: int, level: float
-) -> None:
+def test_an_estimate_has_settled_if_a_t_test_does_not_reject_it(estimates, number, level):
     needed = 5
     found = has_settled(estimates[:needed], number, needed, float(student.ppf(1.0 - level / 2.0, needed - 1)))
     if len(estimates) < needed:
@@ -99,9 +90,6 @@ def test_an_estimate_has_settled_if_a_t_test_does_not_reject_it(
         return
     p = 2.0 * (1.0 - student.cdf(abs(mean - number) / deviation * sqrt(needed), needed - 1))
     assert found == (p >= level) or p == pytest.approx(level)
-
-
-# -- the whole stage, transcribed with plain loops
 
 
 class Transcribed:
@@ -213,9 +201,7 @@ class Transcribed:
     viewed=st.booleans(),
 )
 @settings(max_examples=30)
-def test_it_judges_as_the_transcribed_method(
-    number: int, agents: int, objects: int, agree: float, memory: int, viewed: bool
-) -> None:
+def test_it_judges_as_the_transcribed_method(number, agents, objects, agree, memory, viewed):
     stage, expected = Prbi(agree=agree, memory=memory), Transcribed(agree, memory)
     stage.bind(number, "centre")
     for frame in range(10):
@@ -229,9 +215,6 @@ def test_it_judges_as_the_transcribed_method(
         }
         assert stage.facts()["checks"] - before == checks
         assert set(stage.facts()["excluded"]) == expected.excluded
-
-
-# -- what it does
 
 
 def test_two_of_five_that_begin_to_report_many_phantoms_are_excluded() -> None:
@@ -263,8 +246,7 @@ def driving(frame: int, gap_s: float) -> Batch:
     return replace(each, time_ns=each.time_ns + (int(gap_s * 1e9) if frame > 10 else 0))
 
 
-@pytest.mark.parametrize("gap_s", [1.5, 4.0, 60.0])
-@pytest.mark.parametrize("memory", [5, 20])
+@pytest.mark.parametrize(("gap_s", "memory"), [(1.5, 5), (60.0, 20)])
 def test_after_a_gap_in_time_the_first_perception_is_the_reference(gap_s: float, memory: int) -> None:
     stage = Prbi(memory=memory)
     assert all(suspended(stage, driving(frame, gap_s)) == set() for frame in range(60))
@@ -283,20 +265,3 @@ def test_a_last_picture_that_no_agent_fits_any_more_is_replaced_and_excludes_nob
     before = [set(AGENTS)] * 4 if jump == 1 else [set()] * 4
     assert groups == before + [set()] * 26, "as soon as no remembered check is normal"
     assert stage.facts()["excluded"] == []
-
-
-def test_equal_seeds_give_equal_groups_and_reset_starts_anew() -> None:
-    def means(stage: Prbi) -> list[list[float]]:
-        return [
-            stage.assess(seen_by_all(*(["b"] if frame > 4 else []), frame=frame)).agents.mean.tolist()
-            for frame in range(20)
-        ]
-
-    stage = Prbi()
-    stage.bind(7, "command_center")
-    first = means(stage)
-    stage.reset()
-    assert means(stage) == first
-    stage.bind(8, "command_center")
-    stage.reset()
-    assert means(stage) != first

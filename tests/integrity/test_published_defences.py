@@ -1,10 +1,6 @@
 """What the stages after published defences have in common: forged tracks, seeds, results and parameters."""
 
-from __future__ import annotations
-
-import re
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import plain_boxes as plain
@@ -12,17 +8,7 @@ import pytest
 from tiny_world import tiny
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.integrity import (
-    Cad,
-    FaultOrLie,
-    Integrity,
-    Made,
-    NoIntegrity,
-    Pasac,
-    PoseGuard,
-    Prbi,
-    Robosac,
-)
+from mast_zenoh.integrity import Cad, FaultOrLie, Integrity, Made, NoIntegrity, Pasac, PoseGuard, Prbi, Robosac
 from mast_zenoh.integrity.base import SUSPENDED, Batch, problem_of
 from mast_zenoh.runtime.inproc import InProcess
 
@@ -69,12 +55,11 @@ def test_the_ego_is_trusted_whatever_the_others_say(stage: type[Integrity]) -> N
         assert judge.assess(each).agents.state[2] != SUSPENDED
 
 
-@pytest.mark.parametrize("defence", ["Robosac", "Prbi"])
-def test_a_run_draws_from_its_own_seed_and_reports_the_checks(defence: str) -> None:
+def test_a_run_draws_from_its_own_seed_and_reports_the_checks() -> None:
     def facts_and_states(seed: int) -> tuple[dict, list[list[int]]]:
         sent = []
         run = InProcess(
-            tiny("defended", f"defence={defence}", "n_adversaries=0", seed=seed),
+            tiny("defended", "defence=Robosac", "n_adversaries=0", seed=seed),
             tap=lambda message: sent.append(message.payload),
         )
         results = run.run()
@@ -102,60 +87,3 @@ def test_fault_or_lie_passes_the_seed_on_to_the_stage_in_it() -> None:
 
     assert admitted(1) == admitted(1)
     assert admitted(1) != admitted(2)
-
-
-@pytest.mark.parametrize(
-    ("stage", "arguments", "problem"),
-    [
-        (Robosac, {"ego": ""}, "ego: found '', expected the name of an agent"),
-        (Robosac, {"attackers": -1}, "attackers: found -1, expected 0 or more"),
-        (Robosac, {"budget": 0}, "budget: found 0, expected 1 or more"),
-        (Robosac, {"sample_size": 0}, "sample_size: found 0, expected 1 or more"),
-        (Robosac, {"budget": 2.5}, "budget: found 2.5, expected a whole number"),
-        (Robosac, {"sample_size": True}, "sample_size: found True, expected a whole number"),
-        (Robosac, {"attackers": float("inf")}, "attackers: found inf, expected 0 or more, finite"),
-        (Robosac, {"budget": None}, "budget, sample_size: found None for both, expected a number for one at least"),
-        (Robosac, {"confidence": 1.0}, "confidence: found 1.0, expected more than 0 and less than 1"),
-        (Robosac, {"agree": 1.1}, "agree: found 1.1, expected 0 to 1"),
-        (Robosac, {"match_iou": 0.0}, "match_iou: found 0.0, expected more than 0 and at most 1"),
-        (Robosac, {"area_m": 0.0}, "area_m: found 0.0, expected more than 0"),
-        (Pasac, {"agree": -0.1}, "agree: found -0.1, expected 0 to 1"),
-        (Pasac, {"smoothing": 2.0}, "smoothing: found 2.0, expected 0 to 1"),
-        (Pasac, {"deeper": -1.0}, "deeper: found -1.0, expected 0 to 1"),
-        (Pasac, {"window": 0}, "window: found 0, expected 1 or more"),
-        (Pasac, {"least_scores": 0}, "least_scores: found 0, expected 1 or more"),
-        (Pasac, {"window": 2.5}, "window: found 2.5, expected a whole number"),
-        (Pasac, {"least_scores": 2.5}, "least_scores: found 2.5, expected a whole number"),
-        (Pasac, {"adaptive": "no"}, "adaptive: found no, expected True or False"),
-        (Pasac, {"ego": None}, "ego: found None, expected the name of an agent"),
-        (Made, {"alpha": 0.0}, "alpha: found 0.0, expected more than 0 and less than 1"),
-        (Made, {"calibration": ()}, "calibration: found none"),
-        (Made, {"calibration": (1.0, float("nan"))}, "calibration: found none, or one that is not finite"),
-        (Made, {"calibration": (-1.0,)}, "or below 0"),
-        (Made, {"calibration": "many"}, "calibration: found 'many', expected losses of honest agents"),
-        (Made, {"area_m": 0.0}, "area_m: found 0.0, expected more than 0"),
-        (Made, {"dependent": "no"}, "dependent: found no, expected True or False"),
-        (Made, {"ego": 3}, "ego: found 3, expected the name of an agent"),
-        (PoseGuard, {"ego": ""}, "ego: found '', expected the name of an agent"),
-        (PoseGuard, {"region_m": 0.0}, "region_m: found 0.0, expected more than 0"),
-        (PoseGuard, {"agree_m": -1.0}, "agree_m: found -1.0, expected more than 0"),
-        (PoseGuard, {"record_s": 0.0}, "record_s: found 0.0, expected more than 0"),
-        (Prbi, {"agree": 2.0}, "agree: found 2.0, expected 0 to 1"),
-        (Prbi, {"short_term": -0.1}, "short_term: found -0.1, expected 0 to 1"),
-        (Prbi, {"memory": 0}, "memory: found 0, expected 1 to 500, or None"),
-        (Prbi, {"memory": 501}, "memory: found 501, expected 1 to 500, or None"),
-        (Prbi, {"settled": 1}, "settled: found 1, expected 2 or more"),
-        (Prbi, {"settled": 2.5}, "settled: found 2.5, expected a whole number"),
-        (Prbi, {"memory": 2.5}, "memory: found 2.5, expected a whole number"),
-        (Prbi, {"memory": True}, "memory: found True, expected a whole number"),
-        (Prbi, {"level": 0.0}, "level: found 0.0, expected more than 0 and less than 1"),
-        (Prbi, {"match_iou": 1.5}, "match_iou: found 1.5, expected more than 0 and at most 1"),
-        (Cad, {"threshold_m2": 0.0}, "threshold_m2: found 0.0, expected more than 0"),
-        (Cad, {"range_m": -1.0}, "range_m: found -1.0, expected more than 0"),
-        (Cad, {"link_m": 0.0}, "link_m: found 0.0, expected more than 0"),
-        (Cad, {"record_s": 0.0}, "record_s: found 0.0, expected more than 0"),
-    ],
-)
-def test_invalid_parameters_are_refused(stage: type[Integrity], arguments: dict[str, Any], problem: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(problem)):
-        stage(**arguments)

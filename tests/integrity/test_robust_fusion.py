@@ -1,7 +1,5 @@
 """`RobustFusion`: outliers get no weight, and the rest follows the geometric median."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

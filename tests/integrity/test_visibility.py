@@ -129,9 +129,7 @@ def refuted_by(place: tuple[float, float], swept: SweptView, of_neighbour: str, 
 
 
 @pytest.mark.parametrize(("place", "swept", "of_neighbour", "expected"), BESIDE.values(), ids=BESIDE)
-def test_rays_that_go_on_to_a_neighbour_refute_what_is_said_to_be_before_it(
-    place, swept: SweptView, of_neighbour: str, expected: bool
-) -> None:
+def test_rays_that_go_on_to_a_neighbour_refute_what_is_said_to_be_before_it(place, swept, of_neighbour, expected):
     assert refuted_by(place, swept, of_neighbour) == [False, False, False, expected]
 
 
@@ -153,9 +151,7 @@ NEARBY = {
 
 
 @pytest.mark.parametrize(("swept", "place", "reporting", "expected"), NEARBY.values(), ids=NEARBY)
-def test_a_sensor_refutes_what_is_said_to_stand_beside_it_by_the_part_that_it_sees(
-    swept: SweptView, place: tuple[float, float], reporting: str, expected: bool
-) -> None:
+def test_a_sensor_refutes_what_is_said_to_stand_beside_it_by_the_part_that_it_sees(swept, place, reporting, expected):
     given = batch([(name, 0, place) for name in reporting], "abv", {"v": swept}, size={0: PERSON})
     boxes = ClusterBoxes.of(given)
     seen, _ = lenient_sightings(given, boxes)

@@ -1,17 +1,17 @@
-"""`KOfN` and `FreeSpace`: objects that too few agents report, or that agents see through, are withheld."""
-
-from __future__ import annotations
+"""`KOfN`, `FreeSpace` and `FreeSpaceVeto`: objects that too few report, or that agents see through, are withheld."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from integrity_batches import STEP_NS, Track, batch, view
+from integrity_batches import CAR, STEP_NS, Track, batch, view
 
-from mast_zenoh.integrity import Batch, FreeSpace, Integrity, KOfN
+from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.integrity import Batch, FreeSpace, Integrity, KOfN, SweptView
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.reputation import BetaReputation
 from mast_zenoh.integrity.visibility import seen_through
+from mast_zenoh.pipelines import FreeSpaceVeto, MissionEstimator, PictureFirst
 
 AGENTS = ("a", "b", "c", "d")
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0), "d": (0.0, -20.0)}
@@ -130,9 +130,7 @@ def test_a_confirmed_object_outlasts_a_moment_of_contradiction() -> None:
         ((0.6, 0.6, 1.75), 1.8, True),
     ],
 )
-def test_an_object_that_is_displaced_by_its_tracks_error_is_not_seen_through(
-    size: tuple[float, float, float], displaced: float, refuted: bool
-) -> None:
+def test_an_object_that_is_displaced_by_its_tracks_error_is_not_seen_through(size, displaced, refuted):
     half_width = 0.5 * size[1]
     views = {name: view(PLACES[name], (0.0, displaced, half_width)) for name in ("a", "b")}
     assert withheld(FreeSpace(), batch(at_origin("a"), AGENTS, views, size={0: size})) is refuted
@@ -167,3 +165,42 @@ def test_cluster_boxes_are_the_means_of_their_members() -> None:
     use = np.array([[False, True, True, True], [False] * 4])
     chosen = ClusterBoxes.of(batch(tracks, AGENTS), use)
     assert chosen.position[:, :2] == pytest.approx(np.array([[1.0, 0.5], [9.0, 9.0]])), "all, where none is to be used"
+
+
+def cars(*places: tuple[float, float]) -> ObjectStates:
+    return ObjectStates.of(np.array([[x, y, 0.75] for x, y in places]), size=np.tile(CAR, (len(places), 1)))
+
+
+def test_objects_of_the_picture_in_own_free_space_are_left_out() -> None:
+    veto = FreeSpaceVeto(mission=PictureFirst())
+    picture, own = cars((20.0, 0.0), (0.0, 20.0), (0.0, 90.0)), cars((-20.0, 0.0))
+    veto.look(view((0.0, 0.0), (20.0, 0.0, 2.0)))
+    kept = veto.estimate(0, own, picture).position[:, :2].tolist()
+    assert kept == [[20, 0], [0, 90], [-20, 0]], "the second is seen through, the third is far away"
+
+
+def test_own_tracks_are_never_left_out() -> None:
+    veto = FreeSpaceVeto(mission=PictureFirst())
+    veto.look(view((0.0, 0.0)))
+    assert veto.estimate(0, cars((20.0, 0.0)), cars()).position[:, 0].tolist() == [20]
+
+
+def test_a_view_counts_for_one_estimate() -> None:
+    veto, picture = FreeSpaceVeto(mission=PictureFirst()), cars((20.0, 0.0))
+    assert len(veto.estimate(0, cars(), picture)) == 1, "there is no view"
+    veto.look(view((0.0, 0.0)))
+    assert len(veto.estimate(0, cars(), picture)) == 0
+    assert len(veto.estimate(0, cars(), picture)) == 1, "the view was of the frame before"
+
+
+def test_the_estimator_inside_gets_the_view_too() -> None:
+    class Looking(PictureFirst):
+        seen: SweptView | None = None
+
+        def look(self, view: SweptView) -> None:
+            self.seen = view
+
+    inner = Looking()
+    outer: MissionEstimator = FreeSpaceVeto(mission=inner)
+    outer.look(view((0.0, 0.0)))
+    assert inner.seen is not None
