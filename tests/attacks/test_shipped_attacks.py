@@ -48,3 +48,8 @@ def test_an_attack_on_the_downlink_deceives_only_the_ego(downlink) -> None:
     achieved = downlink["metrics"]["achieved"]["all"]
     assert achieved["inserted_share_ego"] > 0.5
     assert achieved["inserted_share_centre"] == 0.0
+    split = ego["mission"]["fp_split"]["attack"]
+    assert split > 0.9 * (ego["mission"]["fp"]["mean"] - ego["picture"]["fp"]["mean"])
+    assert ego["picture"]["fp_split"]["attack"] == ego["local"]["fp_split"]["attack"] == 0.0
+    objects = downlink["tables"]["objects"]
+    assert set(objects["agent"][objects["by"] != ""]) == {"ego"}

@@ -1,7 +1,5 @@
 """Fixtures for evaluation tests: whole runs in one process, played once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

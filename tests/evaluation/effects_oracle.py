@@ -3,8 +3,6 @@
 Shares no code with mast_zenoh.effects.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from itertools import zip_longest

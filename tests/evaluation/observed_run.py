@@ -1,7 +1,5 @@
 """A run in one process that records inputs and outputs of interposers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -90,8 +88,7 @@ class ObservedRun(InProcess):
         if (agent := self._pose_of.get(message.key)) is not None and isinstance(message.payload, Message):
             body = message.payload.body
             self.poses.setdefault(
-                (agent, message.payload.header.frame),
-                (body["position"], rotation_from_quaternion(body["rotation"])),
+                (agent, message.payload.header.frame), (body["position"], rotation_from_quaternion(body["rotation"]))
             )
         super()._enqueue(message)
 

@@ -1,7 +1,5 @@
 """Runs in one process as a user plays them, and access to the run folder."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 Shares no code with mast_zenoh.metrics, and uses py-motmetrics.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections import defaultdict

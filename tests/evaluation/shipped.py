@@ -1,7 +1,5 @@
 """All shipped scenarios with settings for short runs and early attacks."""
 
-from __future__ import annotations
-
 import inspect
 from typing import Any
 

@@ -1,7 +1,5 @@
 """An adversary for tests: random manipulations of messages, no reports."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mast_zenoh.messages import codec

@@ -1,7 +1,5 @@
 """Attacks on two scenes of one seed are independent, as studies assume."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Each attack on the road ahead of a driven ego reaches its aim, by what happened to the car and to its twin."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -95,9 +93,7 @@ def test_one_of_both_sources_is_enough_to_keep_the_leader(attack: str, wire: str
     assert driven(junction, seed, *settings, f"attack={attack}", f"wire={wire}")["collisions"] == []
 
 
-def test_hidden_crossers_are_missing_in_what_the_ego_gets_and_nobody_is_hit_where_the_route_knows_where_to_wait() -> (
-    None
-):
+def test_hidden_crossers_are_missing_in_what_the_ego_gets_and_nobody_is_hit_where_the_route_knows_where_to_wait():
     metrics = metrics_of(14, 1, "attack=hidden_crosser")
     assert metrics["achieved"]["all"]["hidden"] >= 1
     assert metrics["achieved"]["all"]["success_ego"] is True

@@ -1,7 +1,5 @@
 """Errors are attributed to an attack, a fault or a defence only if they do not exist in the run without it."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """On which wires a changed message makes its agent a liar."""
 
-from __future__ import annotations
-
 import pytest
 
 from mast_zenoh.evaluation.estimate_wires import EstimateWires

@@ -1,11 +1,10 @@
 """Errors are attributed to an adversary, however it damages the picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
-from played import Played
+from played import Played, play
 
 Once = Callable[..., Played]
 
@@ -94,9 +93,7 @@ def scenario(mode="forestall", wire="tracks"):
         ("pose", "pose", "reframed"),
     ],
 )
-def test_missed_objects_are_attributed_to_the_interposer_that_withholds_them(
-    once: Once, mode: str, wire: str, effect: str
-) -> None:
+def test_missed_objects_are_attributed_to_the_interposer_that_withholds_them(once, mode, wire, effect):
     files = {"vandal": ADVERSARY, "vandals": SCENARIO}
     attacked, baseline = once("vandals", f"mode={mode}", f"wire={wire}", **files), once("baseline")
     before, after = (played.agents["ego"]["picture"] for played in (baseline, attacked))
@@ -107,3 +104,27 @@ def test_missed_objects_are_attributed_to_the_interposer_that_withholds_them(
     for verdict in attacked.metrics["interposers"].values():
         assert verdict["agreement"] == "silent"
         assert verdict["effects"][effect] > 10
+
+
+FRAMES = 80
+FILE = str(Path(__file__).with_name("altered_boxes.py"))
+
+
+@pytest.mark.parametrize("setting", ["length=2.0", "turn_rad=0.5"])
+def test_a_false_box_is_blamed_for_no_error_of_place_which_are_those_of_the_twin(tmp_path: Path, setting: str) -> None:
+    apart = "scene.dense=False"  # in queues, boxes that nearly touch are grouped otherwise if one is longer
+    run = play(tmp_path / "run", FILE, apart, setting, frames=FRAMES)
+    twin = play(tmp_path / "twin", FILE, apart, frames=FRAMES)
+    assert (run.table("attacks")["effect"] == "altered").sum() > FRAMES
+    assert run.metrics["interposers"]["mallory"]["effects"].keys() == {"altered"}
+    assert run.metrics["interposers"]["mallory"]["agreement"] == "agrees"
+    assert not (twin.table("attacks")["effect"] == "altered").any()
+    for errors in ("fn", "fp"):
+        assert (run.table("metrics")[errors] == twin.table("metrics")[errors]).all(), "no error of place is new"
+    assert not (run.table("objects")["cause"] == "altered").any()
+
+
+def test_false_velocities_are_blamed_for_nothing_in_the_tracks_that_carry_them(tmp_path: Path) -> None:
+    objects = play(tmp_path / "run", FILE, "velocity=2.0", frames=FRAMES).table("objects")
+    blamed = objects["cause"] == "altered"
+    assert not (blamed & (objects["estimator"] == "received")).any()

@@ -1,7 +1,5 @@
 """A brake is needless if the same driver, given the truth, would not have braked so hard."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

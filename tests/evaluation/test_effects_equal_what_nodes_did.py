@@ -1,9 +1,6 @@
 """Measured effects of interposers equal their actions, row by row."""
 
-from __future__ import annotations
-
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -65,9 +62,7 @@ def compare(played: Played, process: ObservedRun) -> Counter[str]:
     return kinds[0]
 
 
-def test_effects_equal_the_oracles_in_every_shipped_scenario(
-    shipped: Callable[..., tuple[Played, ObservedRun]], variant: tuple[str, ...]
-) -> None:
+def test_effects_equal_the_oracles_in_every_shipped_scenario(shipped, variant):
     played, process = shipped(variant)
     kinds = compare(played, process)
     assert bool(kinds) == (variant[0] not in HARMLESS)

@@ -1,12 +1,12 @@
-"""The ego with the picture is never worse off than alone."""
+"""The ego with the picture is never worse off than alone, and results tell how old its pictures are."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from played import Played
 
 import mast_zenoh as mast
 from mast_zenoh.scenario import load
@@ -33,9 +33,7 @@ def errors_m(objects: pd.DataFrame, estimator: str) -> pd.Series:
 
 
 @pytest.mark.parametrize("survey", [[], BAD_SURVEY], ids=["surveyed well", "surveyed badly"])
-def test_the_mission_estimate_is_as_exact_as_own_tracks_and_keeps_its_ids(
-    tmp_path: Path, survey: list[tuple[float, float]]
-) -> None:
+def test_the_mission_estimate_is_as_exact_as_own_tracks_and_keeps_its_ids(tmp_path, survey):
     run = played(tmp_path / "run", 1, survey)
     objects = run.objects.to_pandas()
     alone, mission = errors_m(objects, "local"), errors_m(objects, "mission")
@@ -44,3 +42,13 @@ def test_the_mission_estimate_is_as_exact_as_own_tracks_and_keeps_its_ids(
     assert np.sqrt((mission[both] ** 2).mean()) < np.sqrt((alone[both] ** 2).mean())
     switches = {name: run.summary["agents"]["ego"][name]["id_switches"] for name in ("local", "picture", "mission")}
     assert switches["mission"] <= switches["local"] + switches["picture"] + 2
+
+
+def test_results_tell_how_old_the_pictures_are_that_agents_use(once: Callable[..., Played]) -> None:
+    baseline, late = once("baseline"), once("baseline", "broker.latency_s=0.3")
+    for played, age_s in ((baseline, 0.1), (late, 0.4)):
+        assert set(played.metrics["picture_age_s"]) == {"ego"}
+        ages = played.metrics["picture_age_s"]["ego"]
+        assert ages["mean"] == pytest.approx(age_s)
+        assert ages["max"] == pytest.approx(age_s)
+        assert ages["frames_without"] == 0

@@ -1,10 +1,7 @@
 """A long run is scored block by block; the results are those of an evaluation of the whole run."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -59,9 +56,7 @@ def run() -> tuple[Results, Results]:
 
 
 @pytest.mark.parametrize("table", ["metrics", "attacks", "trust", "trust_objects"])
-def test_tables_of_a_run_that_was_scored_in_blocks_are_those_of_the_whole(
-    run: tuple[Results, Results], table: str
-) -> None:
+def test_tables_of_a_run_that_was_scored_in_blocks_are_those_of_the_whole(run, table):
     (blocks, _), (whole, _) = run
     assert rows(blocks[table]) == rows(whole[table])
 
@@ -110,9 +105,7 @@ def test_what_happened_to_a_driven_car_is_told_as_in_the_whole() -> None:
     assert list(different(metrics["driven"], expected["driven"])) == []
 
 
-def test_a_run_that_is_longer_than_a_block_keeps_no_more_messages(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_is_longer_than_a_block_keeps_no_more_messages(tmp_path, monkeypatch):
     kept: list[int] = []
     results = RunScoring.results
 

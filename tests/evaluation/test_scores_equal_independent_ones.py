@@ -1,9 +1,5 @@
 """Scores equal those of py-motmetrics on all shipped scenarios."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from played import Played
@@ -40,9 +36,7 @@ def assert_equal(played: Played, scores: dict[Series, list[Row]]) -> None:
         assert summary["mota"] == (pytest.approx(1 - (fn + fp + switches) / (tp + fn)) if tp + fn else None)
 
 
-def test_scores_equal_those_of_motmetrics(
-    shipped: Callable[..., tuple[Played, object]], variant: tuple[str, ...]
-) -> None:
+def test_scores_equal_those_of_motmetrics(shipped, variant):
     played, _ = shipped(variant)
     frames = frames_of(played.folder)
     without_broker = {"received"} if variant[0] in ("congested", "peers", "two_centres") else set()

@@ -1,7 +1,5 @@
 """What a driver believed follows from the messages that reached it: its veto is applied to them as it applies it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
