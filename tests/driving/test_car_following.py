@@ -84,35 +84,3 @@ def test_dense_platoons_are_string_stable_above_the_published_acceleration() -> 
     slow = 0.01
     assert criterion(IntelligentDriverModel(acceleration=1.05 * threshold), slow) > 0.0
     assert criterion(IntelligentDriverModel(acceleration=0.95 * threshold), slow) < 0.0
-
-
-def amplification(model: IntelligentDriverModel, speed: float, n: int = 40) -> float:
-    """How much larger a small slow oscillation of a leader is n cars behind it."""
-    step, gap = 0.2, equilibrium_gap(model, speed, DESIRED)
-    position, speeds = -gap * np.arange(n + 1.0), np.full(n + 1, speed)
-    extent = np.zeros(n + 1)
-    for k in range(int(1500.0 / step)):
-        change = np.zeros(n + 1)
-        change[0] = 0.005 * np.cos(0.1 * k * step)
-        change[1:] = model.free(speeds[1:], np.full(n, DESIRED))
-        change[1:] += model.interaction(speeds[1:], position[:-1] - position[1:], speeds[:-1])
-        new = speeds + change * step
-        position += (speeds + new) / 2.0 * step
-        speeds = new
-        if k * step > 1200.0:
-            extent = np.maximum(extent, np.abs(speeds - speed))
-    return float(extent[-1] / extent[0])
-
-
-@pytest.mark.parametrize(
-    ("model", "speed", "stable"),
-    [
-        (dict(acceleration=1.2), 10.0, False),  # just below the threshold
-        (dict(), 25.0, True),  # with that of the paper, traffic jams do not form at high speeds
-        (dict(acceleration=1.5, braking=3.0, headway_s=1.5, gap_m=1.0), 8.0, False),  # that of PDM-Closed
-    ],
-)
-def test_oscillations_grow_along_a_platoon_where_the_criterion_says_so(model, speed, stable):
-    chosen = IntelligentDriverModel(**model)
-    assert (criterion(chosen, speed) > 0.0) is stable
-    assert (amplification(chosen, speed) < 1.0) is stable
