@@ -1,11 +1,10 @@
 """Decoders of control messages return a valid value or raise MessageError."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
-from pathlib import Path
+import tracemalloc
+from functools import cache
 from typing import Any
 
 import msgpack
@@ -14,9 +13,11 @@ import pytest
 from damage import damaged
 from hypothesis import given
 from hypothesis import strategies as st
-from insider.position import FAILURE
+from insider.forgeries import MALFORMED, forgeries, refused
+from insider.position import FAILURE, Position, position
 from sound_controls import CODECS, DRIVEN, MEMBERS, OUTCOME, TAP, WIRING, packed
 
+from mast_zenoh import scenario, version
 from mast_zenoh.control import CONTROLS, failures, files, flow, results
 from mast_zenoh.control.tables import PartedTables, TablePart
 from mast_zenoh.errors import MessageError, RunError
@@ -67,20 +68,10 @@ def test_decoding_inverts_encoding() -> None:
     assert (type(refusal), str(refusal)) == (RunError, "no")
 
 
-def test_the_wirings_of_all_shipped_scenarios_are_accepted(resolved_wirings: list[dict[str, Any]]) -> None:
-    for wiring in resolved_wirings:
-        assert flow.wiring_of(wiring, "wiring") == Wiring.from_json(wiring)
-
-
-@pytest.fixture
-def resolved_wirings() -> list[dict[str, Any]]:
-    from mast_zenoh import scenario
-
-    wirings = []
+def test_the_wirings_of_shipped_scenarios_are_accepted() -> None:
     for name in ("baseline", "coordinated", "downlink"):
-        path, loaded = scenario.load(name, [])
-        wirings.append(json.loads(json.dumps(scenario.resolve(Path(path), loaded, frames=2).wiring)))
-    return wirings
+        wiring = json.loads(json.dumps(scenario.resolve(*scenario.load(name, []), frames=2).wiring))
+        assert flow.wiring_of(wiring, "wiring") == Wiring.from_json(wiring)
 
 
 @every_codec
@@ -350,3 +341,24 @@ def test_threads_can_decode_their_first_message_of_a_type_at_the_same_time() -> 
     # In another process: what this guards against is a crash.
     ended = subprocess.run([sys.executable, "-c", FIRST_USES], capture_output=True, text=True, timeout=60)
     assert ended.returncode == 0, ended.stderr
+
+
+@cache
+def standing(node: str = "infra_1") -> Position:
+    path, loaded = scenario.load("coordinated", ["n_infrastructure=2"])
+    return position(scenario.resolve(path, loaded, frames=2, record=True), node, version.version_string())
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("control", CONTROLS)
+def test_payloads_that_unpack_to_far_more_use_little_memory(control: str) -> None:
+    messages = [each for each in forgeries(control, standing(), 200) if each.defect == MALFORMED]
+    heavy = sorted((each.payload for each in messages), key=len)[-5:]
+    tracemalloc.start()
+    try:
+        for payload in heavy:
+            assert refused(control, "infra_1", payload)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 96 << 20, "from payloads of at most 8 MiB"

@@ -1,7 +1,6 @@
 """An invalid control message is refused, counted and logged once."""
 
-from __future__ import annotations
-
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +19,7 @@ from mast_zenoh.errors import ImplausibleCounts, ServiceDied
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.file_server import FileServer
 from mast_zenoh.launch.launcher_protocol import Report
+from mast_zenoh.launch.live_interception import InterceptionServer, seal
 from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.reports import Reports
 from mast_zenoh.node import Node, Source
@@ -277,16 +277,6 @@ def test_the_driver_sends_no_counts_that_return_after_later_ones(driver: Hosted)
     assert driver.protocol.pacer._reports["sim"] == ({}, {})
 
 
-def test_a_node_is_counted_as_returned_only_after_a_loss(driver: Hosted) -> None:
-    presence(driver, False, True)
-    driver.handle_all()
-    driver.protocol.membership.leaving.add("ego")  # the scenario kills it, and starts it again
-    presence(driver, False, True)
-    driver.handle_all()
-    assert [each["what"] for each in driver.protocol.membership.churn] == ["lost", "back"]
-    assert not driver.protocol.membership.leaving
-
-
 def presence(driver: Hosted, *there: bool) -> None:
     """Report a sequence of presence changes of ego's token to the driver."""
     for each in there:
@@ -430,9 +420,7 @@ def test_a_malformed_query_is_answered_with_an_error_and_the_file_server_continu
     )
 
 
-def test_an_unexpected_error_costs_one_query(
-    file_server: FileServer, context: RunContext, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unexpected_error_costs_one_query(file_server, context, monkeypatch) -> None:
     def fail(*_: object) -> None:
         raise OverflowError("no such number")
 
@@ -450,9 +438,7 @@ def test_unknown_nodes_get_no_answer_and_share_one_count(file_server: FileServer
     assert context.invalid.counts == {"fetch/*": 2}
 
 
-def test_a_dead_file_server_ends_the_run_and_is_named(
-    file_server: FileServer, context: RunContext, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dead_file_server_ends_the_run_and_is_named(file_server, context, monkeypatch) -> None:
     watch = launcher_of(context)
     watch._file_server = file_server
     watch._check_file_server()
@@ -510,9 +496,7 @@ def test_the_driver_queues_only_the_newest_counts_of_each_node(driver: Hosted) -
 
 
 @pytest.mark.parametrize("what", ["fetch", "file"])
-def test_oversized_queries_are_not_queued_at_the_file_server(
-    file_server: FileServer, context: RunContext, what: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_oversized_queries_are_not_queued_at_the_file_server(file_server, context, what, monkeypatch) -> None:
     waits = MagicMock()
     monkeypatch.setattr(file_server, "_requests", MagicMock(put=waits))
     query = Query(f"{what}/ego", bytes(CONTROLS[what].max_bytes + 1))
@@ -534,3 +518,43 @@ def test_an_oversized_failure_is_not_queued_at_the_launcher(context: RunContext)
     reports._on_failed(sample("failed/ego", bytes(CONTROLS["failed"].max_bytes + 1)))
     assert context.invalid.counts == {"failed/ego": 1}
     assert reports._queue.empty()
+
+
+# -- malformed messages fill no queue ---------------------------------------------------------------------------------
+
+
+def test_malformed_steps_leave_room_for_valid_ones(context: RunContext) -> None:
+    launcher = launcher_of(context)
+    for payload in [*RUBBISH * 200, flow.encode_act(5, [("start", "ego")])]:
+        act(launcher, payload)
+    launcher.advance()
+    assert launcher._protocol.steps.done == [{"frame": 5, "action": "start", "node": "ego"}]
+    assert context.invalid.counts == {"act": len(RUBBISH) * 200}
+
+
+def test_malformed_requests_leave_room_for_valid_ones(context: RunContext) -> None:
+    interceptions, launcher = MagicMock(), launcher_of(context)
+    server = InterceptionServer(context.folder, "mast/x", MagicMock(), interceptions, launcher)
+    sound = Query("intercept", seal({"do": "release", "name": "eve", "wire": None}, server._secret))
+    forged = [Query("intercept", payload) for payload in [*RUBBISH * 20, seal({"do": "release"}, b"guessed")]]
+    for query in [*forged, sound]:
+        server._on_query(query)  # type: ignore[arg-type]
+    assert context.invalid.counts == {"intercept": len(forged)}
+    assert all(query.answers[0][0] == "error" and query.dropped for query in forged)
+    (added,) = interceptions.add.call_args_list
+    assert added.args[0] is sound
+
+
+def test_malformed_queries_leave_room_for_valid_ones(file_server, context, monkeypatch) -> None:
+    go_on, give = threading.Event(), file_server._answer
+    monkeypatch.setattr(file_server, "_answer", lambda *asked: go_on.wait(10.0) and give(*asked))
+    clock = encode({"do": "clock"})
+    asked = [Query(f"{what}/ego", payload) for what in ("fetch", "file") for payload in [clock, *RUBBISH * 4]]
+    for query in [*asked, last := Query("fetch/ego", clock)]:
+        file_server._on_query(query)  # type: ignore[arg-type]
+    go_on.set()
+    deadline = time.monotonic() + 10.0
+    while not last.dropped and time.monotonic() < deadline:
+        go_on.wait(0.01)
+    assert last.answers[0][0] == "ok"
+    assert context.invalid.counts == {"fetch/ego": len(RUBBISH) * 4, "file/ego": len(RUBBISH) * 4 + 1}

@@ -1,7 +1,5 @@
 """Above level "open", driver and launcher messages need a valid signature."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import msgpack

@@ -1,7 +1,5 @@
 """Tables that a node appends rows to leave it in parts, which depend on the rows alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

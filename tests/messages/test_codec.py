@@ -1,6 +1,8 @@
 """Encoding and decoding keep messages unchanged; anything else is refused."""
 
+from collections.abc import Callable
 from contextlib import nullcontext
+from typing import Any
 
 import msgpack
 import numpy as np
@@ -12,7 +14,7 @@ from hypothesis import strategies as st
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import MessageError
 from mast_zenoh.integrity.views import collated_columns
-from mast_zenoh.messages import codec, layout
+from mast_zenoh.messages import codec
 from mast_zenoh.messages.layout import BodyLayout
 from mast_zenoh.messages.schemas import SCHEMAS, Column, Header, Message, text
 
@@ -48,9 +50,7 @@ def message_of(schema: str, sizes: dict[str, int], seed: int = 0) -> Message:
 @pytest.mark.parametrize("schema", sorted(SCHEMAS))
 @given(n=st.integers(0, 12), a=st.integers(1, 5), m=st.integers(0, 3), k=st.integers(0, 3), seed=st.integers(0, 99))
 @settings(max_examples=15)
-def test_every_message_is_unchanged_by_encoding_and_decoding(
-    schema: str, n: int, a: int, m: int, k: int, seed: int
-) -> None:
+def test_every_message_is_unchanged_by_encoding_and_decoding(schema, n, a, m, k, seed) -> None:
     message = message_of(schema, {"n": n, "a": a, "m": m, "k": k}, seed)
     codec.check_values(message)
     payload = codec.encode(message)
@@ -83,21 +83,6 @@ def test_whole_numbers_of_an_equal_type_are_sent_as_int64() -> None:
     assert sent.body["tracks"].tolist() == [4]
 
 
-def test_messages_are_split_after_any_number_of_others_with_other_lengths(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(layout, "_MAX_PLANS", 3)
-    payloads = [codec.encode(message_of("picture", {"n": n})) for n in range(8)]
-    for payload in payloads + payloads[-1:]:
-        codec.decode(payload, "picture")
-    monkeypatch.setattr(BodyLayout, "unpack", lambda *_: pytest.fail("not split"))
-    codec.decode(payloads[-1], "picture")
-
-
-def test_received_columns_are_read_only() -> None:
-    decoded = codec.decode(codec.encode(message_of("tracks", {"n": 2})), "tracks")
-    with pytest.raises(ValueError, match="read-only"):
-        decoded.body["position"][0, 0] = 1.0
-
-
 @given(seed=st.integers(0, 1 << 32))
 @settings(max_examples=200)
 def test_a_damaged_message_is_refused_or_still_valid(seed: int) -> None:
@@ -126,9 +111,7 @@ def outcome(payload: bytes) -> tuple | str:
 
 @given(place=st.integers(0, 700), value=st.integers(0, 255), copies=st.sampled_from([0, 1, 2]))
 @settings(max_examples=300)
-def test_a_message_means_the_same_whether_one_of_its_length_was_decoded_before(
-    place: int, value: int, copies: int
-) -> None:
+def test_a_message_means_the_same_whether_one_of_its_length_was_decoded_before(place, value, copies) -> None:
     payload = bytearray(codec.encode(message_of("detections", {"n": 3})))
     payload[place : place + 1] = bytes([value]) * copies
     message = bytes(payload)
@@ -191,8 +174,9 @@ def test_a_reference_to_a_missing_row_is_refused() -> None:
 
 
 def test_an_oversized_message_is_refused_before_decoding() -> None:
-    with pytest.raises(MessageError, match="at most"):
-        codec.decode(bytes(codec.MAX_BYTES + 1), "clock")
+    for decode in (codec.decode, codec.decode_lazily):
+        with pytest.raises(MessageError, match="at most"):
+            decode(bytes(codec.MAX_BYTES + 1), "clock")
 
 
 def test_a_node_cannot_send_a_column_of_the_wrong_shape() -> None:
@@ -235,3 +219,75 @@ def test_a_message_of_no_views_is_valid_and_each_quaternion_of_several_is_checke
         with nullcontext() if valid else pytest.raises(MessageError, match=r"views.rotation: a quaternion of length 0"):
             payload = codec.encode(codec.conform(header, columns))
             assert len(codec.decode(payload, "views").body["rotation"]) == len(turns)
+
+
+# -- lazily: the header is checked at once, the body on first access ---------------------------------------------------
+
+BODY = {"mobile": np.array([1], np.uint8), "detections": np.array([3]), "tracks": np.array([2])}
+
+
+def encoded(**header: object) -> bytes:
+    fields = dict(schema="status", source="ego", frame=3, time_ns=300, seq=4) | header
+    return codec.encode(codec.conform(Header(**fields), BODY))
+
+
+def test_lazy_decoding_gives_the_same_message() -> None:
+    eager, lazy = (function(encoded(), "status") for function in (codec.decode, codec.decode_lazily))
+    assert lazy.header == eager.header
+    assert len(lazy.body) == 3
+    assert {name: column.tolist() for name, column in lazy.body.items()} == {
+        name: column.tolist() for name, column in eager.body.items()
+    }
+    assert codec.encode(lazy) == encoded()
+
+
+def result_of(decode: Callable[[], Header]) -> Header | str:
+    try:
+        return decode()
+    except MessageError as error:
+        return str(error)
+
+
+@given(
+    frame=st.integers(-3, 1 << 63),
+    time_ns=st.integers(-3, 1 << 63),
+    source=st.text(max_size=20) | st.just("\xa4body") | st.just("x" * 300),
+    schema=st.sampled_from(["status", "tracks", "body"]),
+    version=st.sampled_from([1, 2, True, 1.0, "1"]),
+    order=st.permutations(["schema", "version", "source", "frame", "time_ns", "seq", "body"]),
+)
+@settings(max_examples=150)
+def test_headers_are_checked_as_in_full_decoding(frame, time_ns, source, schema, version, order) -> None:
+    fields = dict(schema=schema, version=version, source=source, frame=frame, time_ns=time_ns, seq=0, body={})
+    payload = msgpack.packb({name: fields[name] for name in order})
+    lazy, full = (lambda: codec.decode_lazily(payload, "status").header), lambda: codec.decode_header(payload, "status")
+    assert result_of(lazy) == result_of(full)
+
+
+@given(cut=st.integers(0, 400), flip=st.integers(0, 399), bit=st.integers(0, 7))
+@settings(max_examples=150)
+def test_malformed_bytes_are_refused_at_once_or_on_access(cut: int, flip: int, bit: int) -> None:
+    payload = bytearray(encoded())
+    payload[flip % len(payload)] ^= 1 << bit
+    broken = bytes(payload[: max(cut, len(payload) // 2)])
+    try:
+        expected = codec.decode(broken, "status")
+    except MessageError:
+        with pytest.raises(MessageError):
+            len(codec.decode_lazily(broken, "status").body)
+    else:
+        message = codec.decode_lazily(broken, "status")
+        assert message.header == expected.header
+        assert {name: column.tobytes() for name, column in message.body.items()} == {
+            name: column.tobytes() for name, column in expected.body.items()
+        }
+
+
+@pytest.mark.parametrize(
+    ("largest", "beyond"),
+    [(dict(frame=(1 << 62) - 1), dict(frame=1 << 62)), (dict(source="x" * 256), dict(source="x" * 257))],
+)
+def test_the_numbers_and_the_name_in_a_header_are_limited(largest: dict[str, Any], beyond: dict[str, Any]) -> None:
+    assert codec.decode_header(encoded(**largest), "status")
+    with pytest.raises(MessageError, match="status: "):
+        codec.decode_header(encoded(**beyond), "status")

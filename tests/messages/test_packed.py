@@ -90,9 +90,7 @@ def test_receivers_get_the_tracks_within_the_quantisation_of_the_standard(n: int
 
 
 @pytest.mark.parametrize("yaw", [None, 0.0, 0.7, np.pi / 2, -3.0])
-def test_a_vehicle_says_that_it_is_one_and_where_it_heads_and_a_pole_that_it_is_a_roadside_unit(
-    yaw: float | None,
-) -> None:
+def test_a_vehicle_says_that_it_is_one_and_where_it_heads_and_a_pole_that_it_is_a_roadside_unit(yaw) -> None:
     for segment in packed(message(120, yaw=yaw)).segments:
         decoded = cpm.decode(segment)
         assert decoded.rsu == (yaw is None)
@@ -114,9 +112,7 @@ def test_positions_in_the_bytes_are_east_and_north_of_the_sender_wherever_it_hea
 
 @pytest.mark.skipif(not asn1_oracle.FOLDER.is_dir(), reason="no ASN.1 modules in $MAST_DATA/etsi_asn1")
 @pytest.mark.parametrize(("yaw", "orientation"), [(None, None), (0.0, 900), (np.pi / 2, 0), (-np.pi / 2, 1800)])
-def test_asn1tools_reads_the_container_of_a_vehicle_or_of_a_roadside_unit(
-    yaw: float | None, orientation: int | None
-) -> None:
+def test_asn1tools_reads_the_container_of_a_vehicle_or_of_a_roadside_unit(yaw, orientation) -> None:
     (segment,) = packed(message(5, yaw=yaw)).segments
     content = asn1_oracle.decode("CPM", cpm_fields.LAYOUT.type, segment)["payload"]["cpmContainers"][0]
     if orientation is None:
@@ -178,9 +174,7 @@ def test_other_bodies_are_refused(body: dict, problem: str) -> None:
 
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 1 << 30), YAWS)
-def test_what_a_vehicle_says_of_itself_is_read_within_the_units_of_the_standard_and_written_again(
-    seed: int, yaw: float | None
-) -> None:
+def test_what_a_vehicle_says_of_itself_is_read_within_the_units_of_the_standard_and_written_again(seed, yaw) -> None:
     sent = message(1, seed, yaw=yaw)
     rng = np.random.default_rng(seed)
     heading, speed = rng.uniform(-np.pi, np.pi), rng.choice([-3.0, 0.0, 12.0])

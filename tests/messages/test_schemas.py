@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from mast_zenoh import links
@@ -10,7 +9,7 @@ from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.attacks import ACTIONS
 from mast_zenoh.config import bundle, loading
 from mast_zenoh.integrity import STATES
-from mast_zenoh.messages.schemas import SCHEMAS, text
+from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.node import Node
 from mast_zenoh.wiring.model import ANY
 
@@ -65,12 +64,3 @@ def test_each_role_has_shipped_nodes_named_after_it() -> None:
 def test_every_message_type_is_used() -> None:
     used = {schema for node in SHIPPED_NODES for ports in (node.inputs, node.outputs) for schema in ports.values()}
     assert used == SCHEMAS.keys() | {ANY}
-
-
-def test_text_columns_may_have_any_length() -> None:
-    for values in ([], ["ego"], ["ego", "infra_1", "é" * 300]):
-        column = text(values)
-        assert column.dtype == object
-        assert column.shape == (len(values),)
-        assert column.tolist() == values
-    assert np.array_equal(text(["a", "b"]), text(["a", "b"]))

@@ -1,7 +1,5 @@
 """User-defined message types and their definitions are checked like built-in ones."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import replace
@@ -72,9 +70,7 @@ counts = st.fixed_dictionaries({letter: st.integers(0, 5) for letter in LETTERS}
 
 @given(schema=schemas(), counts=counts, seed=st.integers(0, 99))
 @settings(max_examples=80)
-def test_every_message_of_a_users_type_is_unchanged_by_encoding_and_decoding(
-    schema: Schema, counts: dict[str, int], seed: int
-) -> None:
+def test_every_message_of_a_users_type_is_unchanged_by_encoding_and_decoding(schema, counts, seed) -> None:
     user_types.use([schema])
     message = message_of(schema, counts, seed)
     codec.check_values(message)

@@ -1,7 +1,5 @@
 """Hosts of a scenario, and the states of their links over time."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """Commands for `nft` and `tc`, and packets that wait in a relay."""
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Iterator
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The router's rules give every node exactly the rights of its wiring."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from functools import cache
@@ -123,9 +121,7 @@ FORBIDDEN = {
 
 
 @given(wirings(), st.sampled_from(NODES[1:]), st.sampled_from(MESSAGES), EXPRESSIONS)
-def test_a_node_that_does_not_drive_cannot_control_others(
-    wiring: Wiring, node: str, message: str, expression: str
-) -> None:
+def test_a_node_that_does_not_drive_cannot_control_others(wiring, node, message, expression) -> None:
     """Everything that it may send below @control or alive/ is about itself."""
     access = rules(wiring)
     controls = ("epoch", "stop", "act", "counts/*", "result/*", "leave/*", *(f"leave/{other}" for other in NODES))

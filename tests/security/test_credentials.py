@@ -1,7 +1,5 @@
 """Certificates: subject, validity and usage; permissions of key files."""
 
-from __future__ import annotations
-
 import stat
 from datetime import timedelta
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Refused certificates are explained in a sentence with the file or host."""
 
-from __future__ import annotations
-
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -76,9 +74,7 @@ STALE = OURS.issue(ROUTER, ["router"], begins=LONG_AGO, ends=LONG_AGO + HOUR)
         ("tls/router:1", "", STALE, f"the router's certificate {PAST}"),
     ],
 )
-def test_each_fault_of_a_router_is_explained_once(
-    monkeypatch: pytest.MonkeyPatch, endpoint: str, problem: str, certificate: Credentials | None, reason: str | None
-) -> None:
+def test_each_fault_of_a_router_is_explained_once(monkeypatch, endpoint, problem, certificate, reason) -> None:
     parsed = certificate and x509.load_pem_x509_certificate(certificate.certificate)
     monkeypatch.setattr(diagnosis, "handshake", lambda *_: (problem, parsed))
     reasons = explain(GOOD, endpoint)
@@ -111,9 +107,7 @@ def port(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., str]]:
         yield serve
 
 
-def test_a_router_that_does_not_answer_a_handshake_may_be_busy_and_is_tried_again(
-    port: Callable[..., str],
-) -> None:
+def test_a_router_that_does_not_answer_a_handshake_may_be_busy_and_is_tried_again(port: Callable[..., str]) -> None:
     (reason,) = explain(Authority("r").issue("a"), port())
     assert UNREACHED in reason
     assert "did not complete the TLS handshake within 0.3 s: it is busy or does not speak TLS" in reason

@@ -1,7 +1,5 @@
 """`mast run --secure` with and without a level, and invalid uses."""
 
-from __future__ import annotations
-
 import pytest
 from typer.testing import CliRunner
 

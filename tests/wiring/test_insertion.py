@@ -1,7 +1,5 @@
 """Insertion is invisible to subscribers; removal restores the wiring."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -21,6 +19,11 @@ def wire(key: str, publisher: str, *subscribers: str) -> Wire:
 RECORDER = (Endpoint("recorder", "everything"),)
 HEARD_BY_D = replace(wire("b/out", "b", "c"), listeners=(Listener(Endpoint("d", "in")),))
 PLAIN = Wiring((wire("clock", "sim", "a", "b"), wire("a/tracks", "a", "b", "c"), HEARD_BY_D), RECORDER)
+LINK, LAST = Endpoint("link", "in"), Endpoint("b", "in")
+TRUNK = Leg("a/tracks", Endpoint("a", "out"), (LINK, Endpoint("c", "in")))
+BRANCH = Branch(LINK, LAST, (Leg(f"a/tracks/{TAP}/b/0", Endpoint("link", "out"), (LAST,)),))
+#: A link is before b alone.
+BRANCHED = Wiring((Wire("a/tracks", "", "tracks", (TRUNK,), (BRANCH,)),), RECORDER)
 NODES, WIRES = ("m", "n", "o", "p"), [found.key for found in PLAIN.wires]
 
 
@@ -85,38 +88,30 @@ def test_the_next_free_tap_is_used_so_each_leg_changes_its_key_at_most_once() ->
 
 
 def test_an_inserted_node_comes_before_branches_whose_nodes_cannot_be_released() -> None:
-    entrance, last = Endpoint("link", "in"), Endpoint("b", "in")
-    leg = Leg(f"a/tracks/{TAP}/b/0", Endpoint("link", "out"), (last,))
-    trunk = Leg("a/tracks", Endpoint("a", "out"), (entrance, Endpoint("c", "in")))
-    branched = Wiring((Wire("a/tracks", "", "tracks", (trunk,), (Branch(entrance, last, (leg,)),)),))
-    wiring = insert(branched, "m", InsertionPoint("a/tracks", "in", "out"))
-    assert wiring.wires[0].branches == branched.wires[0].branches
-    assert wiring.wires[0].subscribers == branched.wires[0].subscribers
-    assert remove(wiring, "m") == branched
+    wiring = insert(BRANCHED, "m", InsertionPoint("a/tracks", "in", "out"))
+    assert wiring.wires[0].branches == BRANCHED.wires[0].branches
+    assert wiring.wires[0].subscribers == BRANCHED.wires[0].subscribers
+    assert remove(wiring, "m") == BRANCHED
     with pytest.raises(WiringError, match="link begins the branch of one subscriber of 'a/tracks'"):
         remove(wiring, "link")
 
 
 def test_nodes_come_and_go_before_one_subscriber_that_has_a_branch_and_nobody_else_notices() -> None:
-    entrance, last = Endpoint("link", "in"), Endpoint("b", "in")
-    leg = Leg(f"a/tracks/{TAP}/b/0", Endpoint("link", "out"), (last,))
-    trunk = Leg("a/tracks", Endpoint("a", "out"), (entrance, Endpoint("c", "in")))
-    branched = Wiring((Wire("a/tracks", "", "tracks", (trunk,), (Branch(entrance, last, (leg,)),)),), RECORDER)
-    one = insert(branched, "m", InsertionPoint("a/tracks", "in", "out", before="b"))
+    one = insert(BRANCHED, "m", InsertionPoint("a/tracks", "in", "out", before="b"))
     both = insert(one, "n", InsertionPoint("a/tracks", "in", "out", before="b"))
     assert both.wires[0].interposers == ("link", "m", "n")
     for name in ("a", "b", "c"):
-        assert both.ports(name) == branched.ports(name), name
+        assert both.ports(name) == BRANCHED.ports(name), name
     assert taps_into(both, ["m", "n"]) == {f"a/tracks/{TAP}/b/1": "m", f"a/tracks/{TAP}/b/2": "n"}
     assert Wiring.from_json(both.to_json()) == both
     assert {passage.before for passage in both.passages()} == {"b"}
     assert remove(both, "n") == one
-    assert remove(remove(both, "m"), "n") == branched
-    assert never_inserted(both, {"m", "n"}) == branched
+    assert remove(remove(both, "m"), "n") == BRANCHED
+    assert never_inserted(both, {"m", "n"}) == BRANCHED
     with pytest.raises(WiringError, match="no node is before c alone on 'a/tracks', and a subscriber keeps"):
-        insert(branched, "m", InsertionPoint("a/tracks", "in", "out", before="c"))
+        insert(BRANCHED, "m", InsertionPoint("a/tracks", "in", "out", before="c"))
     with pytest.raises(WiringError, match="'d' does not subscribe to 'a/tracks'"):
-        insert(branched, "m", InsertionPoint("a/tracks", "in", "out", before="d"))
+        insert(BRANCHED, "m", InsertionPoint("a/tracks", "in", "out", before="d"))
 
 
 @pytest.mark.parametrize(
@@ -125,6 +120,7 @@ def test_nodes_come_and_go_before_one_subscriber_that_has_a_branch_and_nobody_el
         ("m", InsertionPoint("a/track", "in", "out"), r"no wire 'a/track'; did you mean 'a/tracks'\?"),
         ("m", InsertionPoint("a/tracks", "in", "out", {"clok": "clock"}), r"no wire 'clok'; did you mean 'clock'\?"),
         ("b", InsertionPoint("a/tracks", "in", "out"), "b is already on the wire 'a/tracks'"),
+        ("d", InsertionPoint("b/out", "in", "out"), "d is already on the wire 'b/out'"),
         ("a/b", InsertionPoint("a/tracks", "in", "out"), "one chunk of a key expression"),
         ("m", InsertionPoint("a/tracks", "in", "out", {}, (wire("clock", "m", "c"),)), "already has a publisher"),
     ],

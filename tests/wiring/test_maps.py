@@ -82,19 +82,6 @@ def test_other_leads_to_the_nodes_of_all_other_agents() -> None:
         resolve(PEERS, broadcasts("others peer.heard"))
 
 
-def test_a_node_sits_between_two_peers_alone() -> None:
-    pair = {"wire": "agent/{agent}/broadcast", "role": "adversary", "input": "seen", "output": "said", "to": "peer"}
-    mallory = node("adversary", inputs="seen:tracks", outputs="said:tracks", agent="infra_1", peer="peer_ego")
-    wiring = resolve(PEERS | {"mallory": mallory}, broadcasts("other peer.heard"), {"insert": [pair]})
-    inserted = {wire.key: wire.interposers for wire in wiring.wires if wire.interposers}
-    assert inserted == {"agent/infra_1/broadcast": ("mallory",)}
-    assert set(wiring.ports("peer_infra_2").inputs) == {"agent/ego/broadcast", "agent/infra_1/broadcast"}
-    assert set(wiring.ports("peer_ego").inputs) == {
-        "agent/infra_1/broadcast/@tap/peer_ego/0",
-        "agent/infra_2/broadcast",
-    }
-
-
 def test_each_further_sensor_of_an_agent_has_a_wire_for_interposers_of_its_agent() -> None:
     of_sensors = {**MAP["wire"][0], "key": "agent/{agent}/detections/{sensor}"}
     pole = replace(AGENT, options={"sensor": ("radar", "camera")})
@@ -127,17 +114,6 @@ def test_a_port_cannot_publish_two_wires_of_one_agent() -> None:
     reason = r"liar\.told would publish on 'agent/a/tracks' and on 'agent/a/broadcast': expected a port for each"
     with pytest.raises(WiringError, match=reason):
         resolve(nodes, broadcasts("other peer.heard"), {"insert": inserts})
-
-
-def test_an_inserted_node_subscribes_to_the_tap_and_publishes_on_the_old_key() -> None:
-    nodes = {"simulator": SIMULATOR, "ego": AGENT, "infra_1": AGENT, "adversary_1": interposer(agent="infra_1")}
-    wiring = resolve(nodes, insertion())
-    tap = "agent/infra_1/detections/@tap/0"
-    assert wiring.ports("simulator").outputs["detections", "infra_1"] == tap
-    assert wiring.ports("simulator").outputs["detections", "ego"] == "agent/ego/detections"
-    assert list(wiring.ports("adversary_1").inputs) == [tap]
-    assert wiring.ports("adversary_1").outputs["said", "infra_1"] == "agent/infra_1/detections"
-    assert wiring.ports("infra_1") == resolve({k: v for k, v in nodes.items() if k != "adversary_1"}).ports("infra_1")
 
 
 @pytest.mark.parametrize(

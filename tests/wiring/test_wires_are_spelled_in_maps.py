@@ -1,7 +1,5 @@
 """Wires know, nodes don't: no code but nodes and the wiring itself spells the key or the port of a wire."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path
