@@ -57,8 +57,8 @@ def test_200_random_schedules_in_one_process_pass_all_checks(block: int, tmp_pat
 
 
 @pytest.mark.mesh
-@pytest.mark.parametrize("seed", [1, 5])  # with a node that leaves, and with one that is killed
-def test_random_schedules_on_the_mesh_equal_those_in_one_process(seed: int, tmp_path: Path) -> None:
+def test_a_random_schedule_on_the_mesh_equals_that_in_one_process(tmp_path: Path) -> None:
+    seed = 5  # with a node that is killed
     folder = played(tmp_path / "mesh", seed, "mesh", *SMALL)
     assert {check["name"] for check in check_results(folder) if check["values"]["checked"]} >= {
         "processes",

@@ -20,9 +20,7 @@ KINDS = {
 
 @settings(max_examples=200)
 @given(st.integers(0, 2**31), st.floats(2.0, 20.0), st.integers(1, 12), st.booleans())
-def test_every_schedule_is_feasible_and_heals_in_time(
-    seed: int, duration_s: float, max_faults: int, lockstep: bool
-) -> None:
+def test_every_schedule_is_feasible_and_heals_in_time(seed, duration_s, max_faults, lockstep) -> None:
     specs = random_schedule(seed, duration_s, AGENTS, servers=SERVERS, settle_s=1.0, max_faults=max_faults)
     assert 1 <= len(specs) <= max_faults
     times_ns = np.arange(round(duration_s * 10)) * 100_000_000

@@ -1,8 +1,5 @@
 """Faults of sensors change an agent's detections, and nothing else."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,25 +7,11 @@ import pytest
 from tiny_world import Run, tiny
 
 from mast_zenoh.arrays.states import Detections
-from mast_zenoh.config import registry
-from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.faults import Fault, FaultPlan, plan
 from mast_zenoh.sensing import sensor_pose, to_world
 
-ROLES = {"simulator": "simulator", "ego": "agent", "infra_1": "agent", "broker": "broker", "adversary_1": "adversary"}
-CARRIERS = {
-    "agent/ego/detections": [("ego", "sensor")],
-    "agent/infra_1/detections": [("infra_1", "sensor")],
-    "agent/ego/tracks": [("ego", "up")],
-}
 BLIND = dict(type="BlindSector", at=0.3, until=0.8, azimuth_min_deg=-180.0, azimuth_max_deg=180.0)
 GHOST = dict(type="GhostDetections", at=0.3, until=0.8, places=[(20.0, 15.0, 0.75)], probability=1.0)
 SOURCE, KEY = "agent/ego/detections/@tap/0", "agent/ego/detections"
-
-
-def planned(*specs: Mapping[str, Any]) -> FaultPlan:
-    faults = [(f"faults[{i}]", registry.build(spec, Fault, f"faults[{i}]")) for i, spec in enumerate(specs)]
-    return plan(faults, ROLES, np.arange(20) * 100_000_000, 0, lockstep=True, carriers=lambda: CARRIERS)
 
 
 def played(*faults: dict[str, Any], links: dict[str, Any] | None = None) -> Run:
@@ -47,32 +30,6 @@ def played(*faults: dict[str, Any], links: dict[str, Any] | None = None) -> Run:
 def counts(run: Run, key: str) -> list[int]:
     """Numbers of detections by frame."""
     return [len(message.body["position"]) for message in run.decoded(key, "detections")]
-
-
-def test_a_fault_of_a_sensor_is_a_rule_for_its_detections() -> None:
-    fault_plan = planned(BLIND | dict(node="infra_1"))
-    rule = dict(type="BlindSector", azimuth_min_deg=-180.0, azimuth_max_deg=180.0, at=0.3, until=0.8)
-    assert fault_plan.rules == {"infra_1": {"up": [], "down": [], "sensor": [rule]}}
-    assert fault_plan.of_agents == {"infra_1": [("BlindSector", 0.3, 0.8)]}
-    (band,) = fault_plan.bands
-    assert (band["label"], band["kind"], band["backend"]) == ("BlindSector infra_1", "fault", "links")
-
-
-def test_a_key_of_detections_selects_sensors() -> None:
-    assert list(planned(BLIND | dict(nodes="agent/*/detections")).rules) == ["ego", "infra_1"]
-
-
-@pytest.mark.parametrize(
-    ("node", "reason"),
-    [
-        ("broker", r"faults\[0\]\.node: 'broker' \(broker\) has no sensor of its own; expected an agent"),
-        ("adversary_1", r"'adversary_1' \(adversary\) has no link of its own"),
-        ("agent/ego/tracks", "did you mean 'agent/ego/detections'"),
-    ],
-)
-def test_only_agents_have_sensors(node: str, reason: str) -> None:
-    with pytest.raises(ConfigurationError, match=reason):
-        planned(BLIND | dict(node=node))
 
 
 def test_detections_can_be_lost_on_their_way_to_the_agent() -> None:
@@ -115,13 +72,3 @@ def test_rules_for_messages_leave_detections_alone() -> None:
     assert len(run.decoded("agent/ego/tracks", "tracks")) == 12
     received = [key for key in run.messages if key.startswith("agent/ego/tracks/@tap/broker")]
     assert [len(run.messages[key]) for key in received] == [7]
-
-
-def test_ghosts_are_drawn_by_the_seed_and_not_by_the_order_of_messages() -> None:
-    def edit(content: dict[str, Any]) -> None:
-        content["faults"] = [GHOST | dict(node="ego", probability=0.5), BLIND | dict(node="infra_1")]
-
-    resolved = tiny("baseline", edit=edit, infrastructure=1)
-    plain = Run(resolved)
-    for shuffle in range(4):
-        assert Run(resolved, shuffle=shuffle, encode=bool(shuffle % 2)).messages == plain.messages

@@ -1,7 +1,5 @@
 """Sends messages of one wire through the rules of a link."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Statistics of rules over many messages match their parameters."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from link_bench import PERIOD_NS, arrived, carry, delays

@@ -1,7 +1,5 @@
 """Rules for detections: blind sectors, and ghosts with the detector's noise."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

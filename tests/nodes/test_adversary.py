@@ -165,15 +165,6 @@ def test_only_the_evaluator_receives_reports_and_the_truth_and_it_publishes_noth
         assert not wiring.ports("evaluator").outputs
 
 
-def test_an_adversary_on_both_wires_of_its_agent_delays_neither() -> None:
-    def on_both(scenario: dict) -> None:
-        scenario["adversaries"] = {"adversary_1": dict(agent="infra_1", attack=ATTACK)}
-
-    run = Run(tiny("passthrough", edit=on_both))
-    assert not run.failures
-    assert len(run.messages["agent/infra_1/detections"]) == len(run.messages["agent/infra_1/tracks"]) == 12
-
-
 def on_picture(attack: dict[str, Any]) -> Any:
     """A scenario change: one adversary on the picture's downlink to the ego."""
 

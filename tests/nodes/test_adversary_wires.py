@@ -1,7 +1,5 @@
 """An adversary on poses and views, on the wires of several agents, and one that listens."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -241,9 +239,7 @@ def test_one_adversary_attacks_several_agents_as_adversaries_of_their_own_would(
         ),
     ],
 )
-def test_an_impossible_choice_of_agents_is_refused_with_the_reason(
-    agent: Any, rewrites: tuple[str, ...], acting: bool, error: type[Exception], reason: str
-) -> None:
+def test_an_impossible_choice_of_agents_is_refused_with_the_reason(agent, rewrites, acting, error, reason) -> None:
     with pytest.raises(error, match=reason):
         tiny(edit=attacked(agent=agent, rewrites=rewrites), acting=acting)
 

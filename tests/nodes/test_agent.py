@@ -195,9 +195,7 @@ def states(body: dict[str, np.ndarray], first_id: int = 0) -> ObjectStates:
         ([], [], []),
     ],
 )
-def test_objects_in_both_estimates_are_merged_and_either_may_be_empty(
-    name: str, own: list[float], common: list[float], merged: list[float]
-) -> None:
+def test_objects_in_both_estimates_are_merged_and_either_may_be_empty(name, own, common, merged) -> None:
     mission = estimator(name).estimate(
         0, states(tracks(*((x, 0.0) for x in own)), 10), states(picture(*((x, 0.0) for x in common)), 30)
     )

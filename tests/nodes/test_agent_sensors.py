@@ -66,13 +66,6 @@ def test_every_agent_publishes_one_message_of_tracks_a_frame_at_its_time(played:
     assert not played.failures
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_the_order_of_delivery_makes_no_difference(resolved: Resolved, played: Run, seed: int) -> None:
-    shuffled = Run(resolved, shuffle=seed)
-    assert shuffled.messages == played.messages
-    assert shuffled.packed == played.packed
-
-
 def under_attack(*wires: str) -> Resolved:
     """An adversary on detections of infra_1, on each of these wires."""
     selection = dict(type="UncoordinatedSelection", n_false_positives=5.0)

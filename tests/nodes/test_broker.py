@@ -117,15 +117,6 @@ def test_late_tracks_are_in_the_next_batch_predicted_and_less_certain(resolved) 
     assert broker.host.finish()["collation"]["late"] == {"infra_2": 2}
 
 
-def test_tracks_that_newer_ones_overtook_are_left_out(resolved) -> None:
-    broker = bench(resolved)
-    for frame in range(3):
-        play(broker, frame, AGENTS if frame else BOTH)
-    send_track(broker, "infra_2", 0, step=2)
-    broker.clock(3)
-    assert [message.body["age_ns"].tolist() for message in broker.heard(COLLATED)] == [[0, 0], [0, 0, 0], [0, 0, 0]]
-
-
 def test_the_broker_does_not_wait_for_an_agent_that_has_left_until_it_returns(resolved) -> None:
     broker = bench(resolved)
     play(broker, 0, BOTH)
@@ -244,23 +235,6 @@ def test_a_clock_error_beyond_max_age_excludes_only_that_agent(resolved, offset_
         play(broker, frame, BOTH)
         assert summary(say_at(broker, "infra_2", frame, offset_s)) == [(frame, {"ego": 0.0, "infra_1": 0.0})]
     assert summary(play(broker, 7)) == [(7, dict.fromkeys(AGENTS, 0.0))], "a corrected clock is accepted again"
-
-
-def test_a_duplicate_message_changes_nothing(resolved) -> None:
-    outcomes = []
-    for copies in (1, 3):
-        broker = bench(resolved, patience=1)
-        for frame in range(5):
-            broker.clock(frame)
-            for agent in AGENTS:
-                key = broker.key("tracks", agent)
-                message = broker.message(key, tracks((float(frame), 0.0)), frame)
-                for _ in range(copies if agent == "infra_1" else 1):
-                    broker.deliver(key, message)
-                if agent == "infra_1" and copies > 1 and frame:
-                    broker.deliver(key, broker.message(key, tracks((9.0, 0.0)), frame - 1), step=frame)
-        outcomes.append((broker.payloads, broker.host.finish()))
-    assert outcomes[0] == outcomes[1], "and none of them is late"
 
 
 @given(st.data())

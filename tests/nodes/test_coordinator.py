@@ -75,14 +75,6 @@ def test_the_coordinator_waits_for_no_adversary_that_has_died_or_not_joined(reso
     assert len(observe(coordinator, 2, 1)) == 2
 
 
-def test_the_coordinator_waits_only_for_its_own_adversaries(resolved) -> None:
-    """Uncoordinated and pass-through adversaries send no observations."""
-    coordinator = Bench(resolved, "coordinator", adversaries=["adversary_1"])
-    coordinator.clock(0)
-    assert observe(coordinator, 2, 0) == [], "and is not subscribed"
-    assert [key for key, _ in observe(coordinator, 1, 0)] == [DIRECTIVES[0]]
-
-
 def test_an_undirected_adversary_does_not_delay_the_run() -> None:
     def leave_out(scenario: dict) -> None:
         scenario["coordinator"]["adversaries"] = ["adversary_1"]
@@ -97,9 +89,7 @@ def test_an_undirected_adversary_does_not_delay_the_run() -> None:
     assert first == 3, "the frame after the first plan, which is of frame 2"
 
 
-def test_observations_of_different_times_are_brought_to_the_latest_of_them(
-    resolved, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_observations_of_different_times_are_brought_to_the_latest_of_them(resolved, monkeypatch) -> None:
     coordinator = Bench(resolved, "coordinator")
     calls: dict[str, Any] = {}
     coordination = coordinator.node.coordination
@@ -128,9 +118,7 @@ def test_observations_of_different_times_are_brought_to_the_latest_of_them(
     np.testing.assert_allclose(calls["rotations"], np.stack([np.eye(3)] * 2))
 
 
-def test_what_the_agents_cover_is_worked_out_only_when_new_targets_are_selected(
-    resolved, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_agents_cover_is_worked_out_only_when_new_targets_are_selected(resolved, monkeypatch) -> None:
     coordinator = Bench(resolved, "coordinator")
     made: list[float] = []
     whole = Surroundings.other_positions

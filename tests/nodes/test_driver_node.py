@@ -1,7 +1,5 @@
 """The driver's node: one command a frame, from the newest estimate of an earlier one."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -84,19 +82,6 @@ def test_without_an_estimate_for_too_long_it_brakes_and_counts_that() -> None:
     assert bench.node.finish(bench.host) == {"commands": 6, "blind": 4, "absurd": 0}
 
 
-def test_the_order_in_which_the_messages_of_a_frame_arrive_does_not_matter() -> None:
-    commands = []
-    for order in (("pose", "route", "mission"), ("mission", "route", "pose"), ("route", "mission", "pose")):
-        bench = Bench(resolved(), "driver_ego")
-        drive(bench, 0, tracks((40.0, 0.0)))
-        bench.clock(1)
-        bodies = {"pose": moving(), "route": route(), "mission": tracks((20.0, 0.0))}
-        for port in order:
-            bench.send(port, bodies[port], 1)
-        commands.append(bench.payloads[-1])
-    assert len(set(commands)) == 1
-
-
 def test_it_stops_at_a_line() -> None:
     bench = Bench(resolved(), "driver_ego")
     drive(bench, 0, tracks())
@@ -144,9 +129,7 @@ def test_with_a_veto_it_brakes_for_own_tracks_that_the_mission_estimate_lacks() 
 @pytest.mark.parametrize(
     ("seen", "brakes"), [(view(100.0), False), (view(20.0), True), (view(30.0), True), (None, True)]
 )
-def test_with_a_veto_it_ignores_what_stands_where_its_own_sensor_sees_free_space(
-    seen: dict | None, brakes: bool
-) -> None:
+def test_with_a_veto_it_ignores_what_stands_where_its_own_sensor_sees_free_space(seen, brakes) -> None:
     assert (with_veto(tracks((30.0, 0.0)), tracks(), seen) < -1.0) is brakes
 
 

@@ -1,30 +1,26 @@
 """The link node applies its rules and reports message fates."""
 
-from __future__ import annotations
-
-from pathlib import Path
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from link_rules import RULES
 from tiny_world import Bench, Run, picture, pose, tiny, tracks
 
-from mast_zenoh import scenario
-from mast_zenoh.config.registry import known_types
+from mast_zenoh.arrays.geometry import rotation_from_quaternion, rotation_from_yaw
 from mast_zenoh.config.resolved import Resolved, build_node
-from mast_zenoh.links import FATES, WIRES, Rule
+from mast_zenoh.integrity.views import view_columns
+from mast_zenoh.links import FATES, WIRES
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.runtime.host import Host, Outgoing
+from mast_zenoh.tracking.view import SensorView
 from mast_zenoh.wiring.model import Wiring
 
-TRACKS, STATUS, PICTURE = (
-    "agent/ego/tracks/@tap/broker/0",
-    "agent/ego/status/@tap/broker/0",
-    "cc/picture/@tap/ego/0",
-)
+TRACKS, STATUS, PICTURE = ("agent/ego/tracks/@tap/broker/0", "agent/ego/status/@tap/broker/0", "cc/picture/@tap/ego/0")
 REPORT = "link/link_ego/report"
 SAID = {"mobile": [1], "detections": [3], "tracks": [2]}
 
@@ -133,17 +129,12 @@ def test_a_wrong_clock_and_pose_change_only_the_header_time_and_the_frame_of_ref
     early = bench(dict(type="ClockSkew", offset_s=-5.0)).send("tracks", tracks(), 0)
     assert early[0][1].header.time_ns == 0, "time does not become negative"
     link.clock(1)
-    assert rows(link) == [
-        (1, "tracks", 0, 0, "altered", 0),
-        (1, "status", 0, 0, "altered", 0),
-    ]
+    assert rows(link) == [(1, "tracks", 0, 0, "altered", 0), (1, "status", 0, 0, "altered", 0)]
 
 
 @pytest.mark.parametrize("encode", [True, False])
 @pytest.mark.parametrize("skew", [[], [dict(type="ClockSkew", offset_s=1.0)]])
-def test_a_corrupted_message_differs_from_the_otherwise_altered_one_in_some_bits(
-    encode: bool, skew: list[dict]
-) -> None:
+def test_a_corrupted_message_differs_from_the_otherwise_altered_one_in_some_bits(encode, skew) -> None:
     link = bench(*skew, dict(type="Corrupt", probability=1.0, flips=1), encode=encode)
     key = link.key("tracks")
     message = link.message(key, tracks((1.0, 2.0)), 0)
@@ -155,40 +146,14 @@ def test_a_corrupted_message_differs_from_the_otherwise_altered_one_in_some_bits
     assert sum((a ^ b).bit_count() for a, b in zip(out.payload, sound, strict=True)) == 1
 
 
-ANY_RULE: dict[str, dict[str, Any]] = {
-    "Bandwidth": dict(bits_per_s=1e5, queue_s=0.3),
-    "BlindSector": dict(azimuth_min_deg=-30.0, azimuth_max_deg=30.0),
-    "ClockSkew": dict(offset_s=-0.15, drift=0.2),
-    "Corrupt": dict(probability=0.4, flips=3),
-    "Cut": dict(at=0.4, until=0.6),
-    "Delay": dict(mean_s=0.1, jitter_s=0.1),
-    "Duplicate": dict(probability=0.4, copies=2),
-    "Flood": dict(copies=2, until=0.3),
-    "GhostDetections": dict(places=[[20.0, 5.0, 0.75]]),
-    "GilbertElliott": dict(good_to_bad=0.3, bad_to_good=0.5),
-    "Hold": dict(at=0.2, until=0.5),
-    "Loss": dict(probability=0.3),
-    "PoseError": dict(position_std_m=1.0, yaw_std_rad=0.1),
-    "RangeLimit": dict(range_m=35.0, gateways=[[20.0, 25.0, 15.0]]),
-    "Reorder": dict(probability=0.4, by_s=0.15),
-}
-EVERY_RULE = [dict(type=name, **config) for name, config in ANY_RULE.items()]
-rules = st.lists(st.sampled_from(sorted(ANY_RULE)), max_size=5).map(
-    lambda names: [dict(type=name, **ANY_RULE[name]) for name in names]
-)
-
-
-def test_the_following_tests_cover_every_shipped_rule() -> None:
-    ours = {name for name, rule in known_types(Rule).items() if rule.__module__.startswith("mast_zenoh.")}
-    assert ours == ANY_RULE.keys()
+EVERY_RULE = [dict(type=name, **config) for name, config in RULES.items()]
+rules = st.lists(st.sampled_from(EVERY_RULE), max_size=5)
 
 
 @given(up=rules, down=rules, shuffle=st.integers(0, 1000), encode=st.booleans())
 @example(up=EVERY_RULE, down=EVERY_RULE, shuffle=1, encode=False)
 @settings(max_examples=12)
-def test_with_any_rules_a_run_does_not_depend_on_delivery_order_or_encoding(
-    up: list[dict], down: list[dict], shuffle: int, encode: bool
-) -> None:
+def test_with_any_rules_a_run_does_not_depend_on_delivery_order_or_encoding(up, down, shuffle, encode) -> None:
     resolved = world(up, down, frames=10)
     plain, other = Run(resolved), Run(resolved, shuffle=shuffle, encode=encode)
     assert other.messages == plain.messages
@@ -197,10 +162,15 @@ def test_with_any_rules_a_run_does_not_depend_on_delivery_order_or_encoding(
     assert plain.messages[REPORT] or up != EVERY_RULE
 
 
+@cache
+def skewed_link() -> Bench:
+    return bench(dict(type="ClockSkew", offset_s=1.0), dict(type="PoseError", bias_m=[1.0, 0.0]))
+
+
 @given(payload=st.binary(max_size=200))
 @settings(max_examples=60)
 def test_malformed_bytes_are_forwarded_unchanged(payload: bytes) -> None:
-    link = _broken_link()
+    link = skewed_link()
     for port in ("tracks", "picture", "pose"):
         link.host.deliver(link.key(port), payload, 0)
     assert [out.payload for out in link.outbox] == [payload, payload], "their subscribers will refuse them"
@@ -208,15 +178,6 @@ def test_malformed_bytes_are_forwarded_unchanged(payload: bytes) -> None:
     link.outbox.clear()
     assert [key for key, _ in link.send("tracks", tracks(), 0)] == [TRACKS]
     link.said.clear()
-
-
-_LINKS: list[Bench] = []
-
-
-def _broken_link() -> Bench:
-    if not _LINKS:
-        _LINKS.append(bench(dict(type="ClockSkew", offset_s=1.0), dict(type="PoseError", bias_m=[1.0, 0.0])))
-    return _LINKS[0]
 
 
 @pytest.mark.parametrize("encode", [True, False])
@@ -243,52 +204,6 @@ def test_the_results_count_the_fates_of_messages() -> None:
     assert link.host.finish() == {"link": {"picture": {"came": 3}, "tracks": {"came": 3, "dropped": 3}}}
 
 
-@pytest.mark.parametrize("attack", ["none", "coordinated"])
-def test_in_a_realistic_network_static_agents_are_wired_and_mobile_ones_wireless(attack: str) -> None:
-    resolved = tiny("realistic_network", f"attack={attack}")
-    rules = {name: spec.config["rules_up"] for name, spec in resolved.nodes.items() if spec.role == "link"}
-    ranged = {name: any(rule["type"] == "RangeLimit" for rule in directions) for name, directions in rules.items()}
-    assert ranged == {"link_ego": True, "link_infra_1": False, "link_infra_2": False}
-    assert any(spec.role == "adversary" for spec in resolved.nodes.values()) is (attack != "none")
-    plain, other = Run(resolved), Run(resolved, shuffle=1, encode=False)
-    assert other.messages == plain.messages
-    assert not plain.failures
-
-
-OWN_MAP = {
-    "insert": [
-        {
-            "wire": "agent/{agent}/detections",
-            "role": "link",
-            "input": "detections",
-            "output": "detections_out",
-        }
-    ]
-}
-
-
-def test_a_user_map_can_insert_a_link_into_another_wire() -> None:
-    def edit(content: dict[str, Any]) -> None:
-        content["nodes"] = {"loose": dict(role="link", agent="ego", rules_up=[dict(type="Cut", at=0.3, until=0.6)])}
-        content["keyexpr"] = dict(map="testbed.toml", rewrites=[OWN_MAP])
-
-    run = Run(tiny("baseline", edit=edit))
-    sent = [message.header.frame for message in run.decoded("agent/ego/detections/@tap/0", "detections")]
-    frames = [message.header.frame for message in run.decoded("agent/ego/detections", "detections")]
-    assert sent == list(range(12))
-    assert frames == [frame for frame in sent if not 3 <= frame < 6]
-
-
-def test_a_link_can_be_on_any_wire_that_a_map_names(tmp_path: Path) -> None:
-    (tmp_path / "own.py").write_text("")
-    _, content = scenario.load("baseline")
-    content["scene"] = dict(type="TinyScene", n_infrastructure=1)
-    content["nodes"] = {"loose": dict(role="link", agent="ego", rules_up=[dict(type="Flood", copies=1)])}
-    content["keyexpr"] = dict(rewrites=[dict(insert=[dict(wire="agent/{agent}/mission", role="link")])])
-    run = Run(scenario.resolve(tmp_path / "own.py", content, frames=4))
-    assert len(run.messages["agent/ego/mission"]) == 2 * len(run.messages["agent/ego/mission/@tap/0"]) == 8
-
-
 @given(
     delays_ms=st.lists(st.sampled_from([0.0, 0.001, 3.0, 50.0]), min_size=2, max_size=12),
     gaps_us=st.lists(st.integers(1, 4000), min_size=12, max_size=12),
@@ -311,16 +226,11 @@ def test_in_real_time_messages_leave_in_order(delays_ms: list[float], gaps_us: l
     assert built.sent() == list(range(len(delays_ms)))
 
 
-def test_in_real_time_a_message_leaves_when_its_delay_is_over() -> None:
-    built = _RealTime([dict(type="Delay", mean_s=0.02, distribution="constant")])
-    built.clock(0, time_ns=0)
-    built.send(0)
-    built.now += 19_000_000
-    assert built.host.release() == pytest.approx(0.001, abs=1e-7)
-    assert built.sent() == []
-    built.now += 1_000_000
-    assert built.host.release() is None
-    assert built.sent() == [0]
+def test_in_a_realistic_network_static_agents_are_wired_and_mobile_ones_wireless() -> None:
+    resolved = tiny("realistic_network")
+    rules = {name: spec.config["rules_up"] for name, spec in resolved.nodes.items() if spec.role == "link"}
+    ranged = {name: any(rule["type"] == "RangeLimit" for rule in directions) for name, directions in rules.items()}
+    assert ranged == {"link_ego": True, "link_infra_1": False, "link_infra_2": False}
 
 
 class _RealTime:
@@ -350,3 +260,77 @@ class _RealTime:
     def sent(self) -> list[int]:
         out = [out.payload for out in self.outbox if out.key == TRACKS]
         return [codec.decode(payload, "tracks").header.seq for payload in out if isinstance(payload, bytes)]
+
+
+# -- an error of a sender's pose moves its tracks and its view alike ---------------------------------------------------
+
+
+def with_views(*up: dict[str, Any]) -> Bench:
+    """The ego's link by itself, in a run whose agents send views."""
+
+    def edit(content: dict[str, Any]) -> None:
+        content["links"] = {"ego": dict(up=list(up))}
+        content["keyexpr"] = dict(map="testbed.toml", rewrites=["views.toml"])
+
+    link = Bench(tiny("baseline", edit=edit, infrastructure=1), "link_ego")
+    link.play(0, pose=pose(40.0, -30.0))
+    link.clock(1)
+    return link
+
+
+def view(x: float, y: float, yaw: float = 0.0) -> dict[str, np.ndarray]:
+    """The view of a sensor."""
+    sensor = SensorView(np.array([x, y, 1.8]), rotation_from_yaw(yaw), -1.0, 1.0, -0.3, 0.1, 100.0)
+    return view_columns(sensor, np.full((2, 3), 50.0))
+
+
+def sent(link: Bench, frame: int) -> tuple[Message, Message]:
+    """The tracks and the view of a frame, after the link."""
+    (_, moved_tracks), (_, moved_view) = (
+        *link.send("tracks", tracks((50.0, -30.0)), frame),
+        *link.send("view", view(41.0, -30.0, 0.3), frame),
+    )
+    return moved_tracks, moved_view
+
+
+def place(message: Message, point: tuple[float, float, float]) -> np.ndarray:
+    """A point of a tracks message in the world."""
+    turn = rotation_from_quaternion(message.body["rotation"])
+    return np.asarray(turn @ np.array(point) + message.body["origin"])
+
+
+def test_a_constant_error_moves_tracks_and_view_as_one_rigid_body() -> None:
+    link = with_views(dict(type="PoseError", bias_m=[2.0, -1.0], bias_yaw_rad=0.1))
+    moved_tracks, moved_view = sent(link, 1)
+    assert moved_view.body["position"] == pytest.approx(place(moved_tracks, (41.0, -30.0, 1.8)))
+    before, after = (rotation_from_quaternion(body["rotation"]) for body in (view(0, 0, 0.3), moved_view.body))
+    assert after == pytest.approx(rotation_from_yaw(0.1) @ before)
+    assert np.array_equal(moved_view.body["free"], view(0, 0)["free"])
+
+
+def test_a_wrong_heading_turns_tracks_about_the_sender() -> None:
+    """Not about the origin of the world: an object at the sender stays, one 10 m ahead moves by 1 m."""
+    link = with_views(dict(type="PoseError", bias_yaw_rad=0.1))
+    moved, _ = sent(link, 1)
+    assert place(moved, (40.0, -30.0, 0.0)) == pytest.approx([40.0, -30.0, 0.0])
+    assert place(moved, (50.0, -30.0, 0.0)) == pytest.approx([40 + 10 * np.cos(0.1), -30 + 10 * np.sin(0.1), 0.0])
+
+
+def test_tracks_and_view_of_a_frame_have_the_same_random_error() -> None:
+    link = with_views(dict(type="Delay", mean_s=0.0), dict(type="PoseError", position_std_m=1.0, yaw_std_rad=0.05))
+    places = []
+    for frame in range(1, 4):
+        moved_tracks, moved_view = sent(link, frame)
+        assert moved_view.body["position"] == pytest.approx(place(moved_tracks, (41.0, -30.0, 1.8)))
+        places.append(moved_view.body["position"])
+        link.send("pose", pose(40.0, -30.0), frame)
+        link.clock(frame + 1)
+    assert np.ptp(np.array(places), axis=0)[:2].min() > 0.01, "another error for each frame"
+
+
+def test_reports_tell_that_the_view_was_altered() -> None:
+    link = with_views(dict(type="PoseError", bias_m=[2.0, 0.0]))
+    sent(link, 1)
+    ((_, report),) = link.clock(2)
+    assert report.body["port"].tolist() == [0, 5]
+    assert set(report.body["fate"].tolist()) == {4}

@@ -1,7 +1,5 @@
 """An object of the mission estimate keeps its id while its sources come, go and change theirs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """What a peer does with what others relay."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The recorder records all messages without influencing the run."""
 
-from __future__ import annotations
-
 import json
 from collections import defaultdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The world obeys the commands that it gets, and publishes in every frame what the simulator does, and routes."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import pairwise
 

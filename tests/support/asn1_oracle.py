@@ -1,7 +1,5 @@
 """asn1tools as a second encoder of CAM and CPM, made from ETSI's modules in the folder of recorded data."""
 
-from __future__ import annotations
-
 import os
 from functools import cache
 from pathlib import Path

@@ -5,8 +5,6 @@
 WHAT: signals by name (SIGINT SIGINT), or the path of a file that is extended until its disk is full.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

@@ -1,7 +1,5 @@
 """Debian's Chromium under playwright, for tests of pages; a page may ask no other host for anything."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager

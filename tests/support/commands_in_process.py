@@ -1,7 +1,5 @@
 """Runs commands of `mast` in this process, as the command line does, and says what they did."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import sys

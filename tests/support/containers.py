@@ -1,7 +1,5 @@
 """A container engine, a test image, and remnants of runs."""
 
-from __future__ import annotations
-
 import functools
 import os
 import re

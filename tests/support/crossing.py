@@ -1,7 +1,5 @@
 """Batches of five agents around a crossing, with phantoms, hidden cars, and views that end before them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 

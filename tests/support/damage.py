@@ -1,7 +1,5 @@
 """Malformed messages, made from valid ones: cut, flipped, extended, and with wrong parts of every kind."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 

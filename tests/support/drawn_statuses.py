@@ -1,7 +1,5 @@
 """What a terminal shows of runs: every status that is drawn, and the scores of the evaluator."""
 
-from __future__ import annotations
-
 from io import StringIO
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The scenario of drivers on a small junction, which plays in a second."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

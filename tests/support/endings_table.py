@@ -1,7 +1,5 @@
 """The table of endings in docs/endings.md, for the tests that verify it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import NamedTuple

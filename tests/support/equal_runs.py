@@ -1,7 +1,5 @@
 """Runs in one process, as `mast run` plays them, and whether two runs are equal: every message, and the metrics."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

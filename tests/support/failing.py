@@ -1,7 +1,5 @@
 """User-written scenarios with failures, for one process or a mesh."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 #: By name: a scenario file, and node files next to it.
@@ -141,7 +139,7 @@ class Tracks(RunMetric):
 def scenario():
     metrics = [dict(type="Broken"), dict(type="Tracks")]
     return baseline(n_infrastructure=1) | dict(name="metric", evaluator=dict(metrics=metrics))
-""",
+"""
     },
     # Two more nodes, which receive only the clock and return fake metrics and tables.
     "second": {

@@ -1,7 +1,5 @@
 """Number and seed of fuzz messages: `make fuzz` sends more."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

@@ -1,7 +1,5 @@
 """A node's protocol by itself: the test plays the mesh and the clock."""
 
-from __future__ import annotations
-
 from collections import deque
 from contextlib import nullcontext
 from typing import Any

@@ -1,7 +1,5 @@
 """Run folders as an attacker would send them: each case changes a copy of a sound run."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

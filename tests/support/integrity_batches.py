@@ -1,7 +1,5 @@
 """Batches of tracks and views for tests of integrity stages."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Runs in their own processes, their results, and an observer."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """An engine with remote nodes simulated as processes without shared files."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """Run folders of long runs, made of short ones whose frames are repeated."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections.abc import Mapping

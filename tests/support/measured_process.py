@@ -1,7 +1,5 @@
 """The peak memory and the processor time of a command."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

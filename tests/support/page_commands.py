@@ -1,7 +1,5 @@
 """Plays a page of the documentation: writes its files, and runs its commands."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Overlap and matching of boxes by plain loops, and random batches: what vectorised code is tested against."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import permutations
 from math import cos, hypot, pi, sin
@@ -139,12 +137,7 @@ def random_batch(seed: int, agents: int, objects: int, *, frame: int = 0, viewed
     names = tuple(f"agent_{row}" for row in range(agents))
     views: list[SweptView | None] = [random_view(seed + row, fixed.uniform(-30.0, 30.0, 2)) for row in range(agents)]
     return Batch(
-        frame * STEP_NS,
-        states,
-        agent.astype(np.int64),
-        labels,
-        names,
-        tuple(views) if viewed else (None,) * agents,
+        frame * STEP_NS, states, agent.astype(np.int64), labels, names, tuple(views) if viewed else (None,) * agents
     )
 
 

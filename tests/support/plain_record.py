@@ -1,7 +1,5 @@
 """Objects and poses of a recording by a plain loop over mcap and msgpack, to compare exports with."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Flat values of a message from dicts and lists: the inverse of `v2x.asn1.plain`, which tests write messages with."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Random scenarios, drawn by number: every kind of wire, and lists of no, one, some and all names of agents."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

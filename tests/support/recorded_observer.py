@@ -1,7 +1,5 @@
 """An observer of a run that is not there: it has the frames of a recording."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,12 +22,7 @@ class RecordedObserver:
     """An observer that measures some frames of the recording of the run in a folder."""
 
     def __init__(
-        self,
-        folder: Path,
-        numbers: Sequence[int] = NUMBERS,
-        wires: Sequence[WireState] = (),
-        *,
-        has_scene: bool = True,
+        self, folder: Path, numbers: Sequence[int] = NUMBERS, wires: Sequence[WireState] = (), *, has_scene: bool = True
     ) -> None:
         resolved = Resolved.read(folder)
         self.wiring = Wiring.from_json(resolved.wiring)

@@ -1,7 +1,5 @@
 """Straight roads, cars on them, and what a driver knows of both."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mast_zenoh.arrays.states import ObjectStates

@@ -1,7 +1,5 @@
 """Whole scenarios on the simulated mesh, with every message that is sent in them, and the same in one process."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import count, islice

@@ -1,7 +1,5 @@
 """Small worlds of the simulation: five nodes, all of whose results depend on every message."""
 
-from __future__ import annotations
-
 import hashlib
 from collections import Counter
 from collections.abc import Callable

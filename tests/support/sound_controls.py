@@ -1,7 +1,5 @@
 """A sound example of every kind of control message, and what decodes it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -79,10 +77,7 @@ CODECS: dict[str, tuple[Callable[[bytes], Any], bytes]] = {
     "clock": (files.decode_fetch, packed({"do": "clock"})),
     "piece": (files.decode_fetch, packed({"do": "piece", "path": "scenario.json", "offset": 0})),
     "file": (files.decode_file, packed({"path": "messages.mcap", "offset": 0, "piece": b"abc"})),
-    "belongings": (
-        answered(files.NodeFiles),
-        packed({"files": {"scenario.json": 17}, "written": ["messages.mcap"]}),
-    ),
+    "belongings": (answered(files.NodeFiles), packed({"files": {"scenario.json": 17}, "written": ["messages.mcap"]})),
     "clock's answer": (answered(files.LauncherTime), packed({"now_ns": 1_700_000_000_000_000_000})),
     "piece's answer": (answered(files.Content), packed({"piece": b"abc"})),
     "file's answer": (answered(files.Nothing), packed({})),

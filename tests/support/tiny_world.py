@@ -1,7 +1,5 @@
 """A tiny world that plays in milliseconds, and a bench for single nodes."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace

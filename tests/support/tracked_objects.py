@@ -1,7 +1,5 @@
 """Tracks of cars for tests of tracking and fusion, a command centre, and comparisons of states."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

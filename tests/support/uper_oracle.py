@@ -3,8 +3,6 @@
 `v2x.asn1.layout` describes programs and flat values. The clauses cited here are those of X.691 (02/2021).
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Random V2X messages as plain values, and damaged bytes of messages."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

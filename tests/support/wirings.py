@@ -1,7 +1,5 @@
 """Wirings of the shipped nodes under shipped maps, without a scenario."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from mast_zenoh.config import bundle, loading

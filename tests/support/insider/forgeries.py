@@ -1,7 +1,5 @@
 """Forged control messages: malformed, damaged and false ones. Pure functions of a position and a seed."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """A run with a compromised node that forges control messages; its effects are measured from the run folder."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections.abc import Collection, Iterable

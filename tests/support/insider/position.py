@@ -1,7 +1,5 @@
 """What a compromised node knows about its run, and valid control messages of it."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import msgpack
