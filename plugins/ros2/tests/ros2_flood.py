@@ -6,8 +6,6 @@ Bytes that are no CDR, truncated and random messages, attachments of all kinds, 
 objects, duplicates, tokens that are none.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

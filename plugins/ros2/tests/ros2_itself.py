@@ -9,8 +9,6 @@ Reads from standard input, as JSON:
 and writes as JSON: `payloads`, each read and written again; `hashes` by type; `definitions`, their hashes.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Reads the key expressions that `ros2.data_keys` writes."""
 
-from __future__ import annotations
-
 from mast_ros2.data_keys import DataKey
 from mast_ros2.names import domain_of_chunk, hash_of_chunk, type_of_dds
 

@@ -1,11 +1,10 @@
 """Random ROS 2 messages of any type, as objects of rosbags and as dicts."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from mast_ros2.type_store import STORE, TYPES
+from mast_ros2.type_store import STORE, TYPES, decode, encode
 from rosbags.interfaces import Nodetype
 
 from mast_zenoh.arrays.states import CLASSES, ObjectStates
@@ -24,6 +23,27 @@ class RosLink(FakeLink):
     def send(self, topic: str, message: Any) -> None:
         assert message.__msgtype__ == self.announced[topic], f"{topic}: another type than was announced"
         super().send(topic, message)
+
+
+def through(message: Any) -> Any:
+    """A message after the way through its bytes."""
+    return decode(message.__msgtype__, encode(message))
+
+
+def set_to(path: str, *values: Any) -> Callable[[Any], None]:
+    """Sets a field of an object, or the fields x, y, z... of a field."""
+
+    def change(each: Any) -> None:
+        *parents, name = path.split(".")
+        for parent in parents:
+            each = getattr(each, parent)
+        if len(values) == 1:
+            setattr(each, name, values[0])
+        else:
+            for axis, value in zip("xyzw", values, strict=False):
+                setattr(getattr(each, name), axis, value)
+
+    return change
 
 
 def random_message(type_name: str, random: np.random.Generator) -> Any:

@@ -4,6 +4,7 @@ What it does not have is written down here: tf2_msgs, vision_msgs and autoware_p
 """
 
 from dataclasses import dataclass
+from types import new_class
 from typing import Any
 
 from ros2_pyterfaces.cyclone.builtin_interfaces.msg import Duration
@@ -25,133 +26,93 @@ from ros2_pyterfaces.cyclone.unique_identifier_msgs.msg import UUID
 from ros2_pyterfaces.cyclone.visualization_msgs.msg import MarkerArray
 
 
-@dataclass
-class TFMessage(IdlStruct, typename="tf2_msgs/msg/TFMessage"):
-    transforms: types.sequence[TransformStamped]
+def message(typename: str, **fields: Any) -> type[IdlStruct]:
+    """A type of messages with these fields, in order."""
+    name = typename.rpartition("/")[2]
+    made = new_class(name, (IdlStruct,), {"typename": typename}, lambda own: own.update(__annotations__=fields))
+    return dataclass(made)
 
 
-@dataclass
-class ObjectHypothesis(IdlStruct, typename="vision_msgs/msg/ObjectHypothesis"):
-    class_id: str
-    score: types.float64
-
-
-@dataclass
-class ObjectHypothesisWithPose(IdlStruct, typename="vision_msgs/msg/ObjectHypothesisWithPose"):
-    hypothesis: ObjectHypothesis
-    pose: PoseWithCovariance
-
-
-@dataclass
-class BoundingBox3D(IdlStruct, typename="vision_msgs/msg/BoundingBox3D"):
-    center: Pose
-    size: Vector3
-
-
-@dataclass
-class Detection3D(IdlStruct, typename="vision_msgs/msg/Detection3D"):
-    header: Header
-    results: types.sequence[ObjectHypothesisWithPose]
-    bbox: BoundingBox3D
-    id: str
-
-
-@dataclass
-class Detection3DArray(IdlStruct, typename="vision_msgs/msg/Detection3DArray"):
-    header: Header
-    detections: types.sequence[Detection3D]
-
-
-@dataclass
-class ObjectClassification(IdlStruct, typename="autoware_perception_msgs/msg/ObjectClassification"):
-    label: types.uint8
-    probability: types.float32
-
-
-@dataclass
-class Shape(IdlStruct, typename="autoware_perception_msgs/msg/Shape"):
-    type: types.uint8
-    footprint: Polygon
-    dimensions: Vector3
-
-
-@dataclass
-class DetectedObjectKinematics(IdlStruct, typename="autoware_perception_msgs/msg/DetectedObjectKinematics"):
-    pose_with_covariance: PoseWithCovariance
-    has_position_covariance: bool
-    orientation_availability: types.uint8
-    twist_with_covariance: TwistWithCovariance
-    has_twist: bool
-    has_twist_covariance: bool
-
-
-@dataclass
-class DetectedObject(IdlStruct, typename="autoware_perception_msgs/msg/DetectedObject"):
-    existence_probability: types.float32
-    classification: types.sequence[ObjectClassification]
-    kinematics: DetectedObjectKinematics
-    shape: Shape
-
-
-@dataclass
-class DetectedObjects(IdlStruct, typename="autoware_perception_msgs/msg/DetectedObjects"):
-    header: Header
-    objects: types.sequence[DetectedObject]
-
-
-@dataclass
-class TrackedObjectKinematics(IdlStruct, typename="autoware_perception_msgs/msg/TrackedObjectKinematics"):
-    pose_with_covariance: PoseWithCovariance
-    twist_with_covariance: TwistWithCovariance
-    acceleration_with_covariance: AccelWithCovariance
-    orientation_availability: types.uint8
-    is_stationary: bool
-
-
-@dataclass
-class TrackedObject(IdlStruct, typename="autoware_perception_msgs/msg/TrackedObject"):
-    object_id: UUID
-    existence_probability: types.float32
-    classification: types.sequence[ObjectClassification]
-    kinematics: TrackedObjectKinematics
-    shape: Shape
-
-
-@dataclass
-class TrackedObjects(IdlStruct, typename="autoware_perception_msgs/msg/TrackedObjects"):
-    header: Header
-    objects: types.sequence[TrackedObject]
-
-
-@dataclass
-class PredictedPath(IdlStruct, typename="autoware_perception_msgs/msg/PredictedPath"):
-    path: types.sequence[Pose]
-    time_step: Duration
-    confidence: types.float32
-
-
-@dataclass
-class PredictedObjectKinematics(IdlStruct, typename="autoware_perception_msgs/msg/PredictedObjectKinematics"):
-    initial_pose_with_covariance: PoseWithCovariance
-    initial_twist_with_covariance: TwistWithCovariance
-    initial_acceleration_with_covariance: AccelWithCovariance
-    predicted_paths: types.sequence[PredictedPath]
-
-
-@dataclass
-class PredictedObject(IdlStruct, typename="autoware_perception_msgs/msg/PredictedObject"):
-    object_id: UUID
-    existence_probability: types.float32
-    classification: types.sequence[ObjectClassification]
-    kinematics: PredictedObjectKinematics
-    shape: Shape
-
-
-@dataclass
-class PredictedObjects(IdlStruct, typename="autoware_perception_msgs/msg/PredictedObjects"):
-    header: Header
-    objects: types.sequence[PredictedObject]
-
+TFMessage = message("tf2_msgs/msg/TFMessage", transforms=types.sequence[TransformStamped])
+ObjectHypothesis = message("vision_msgs/msg/ObjectHypothesis", class_id=str, score=types.float64)
+ObjectHypothesisWithPose = message(
+    "vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=ObjectHypothesis, pose=PoseWithCovariance
+)
+BoundingBox3D = message("vision_msgs/msg/BoundingBox3D", center=Pose, size=Vector3)
+Detection3D = message(
+    "vision_msgs/msg/Detection3D",
+    header=Header,
+    results=types.sequence[ObjectHypothesisWithPose],
+    bbox=BoundingBox3D,
+    id=str,
+)
+Detection3DArray = message("vision_msgs/msg/Detection3DArray", header=Header, detections=types.sequence[Detection3D])
+ObjectClassification = message(
+    "autoware_perception_msgs/msg/ObjectClassification", label=types.uint8, probability=types.float32
+)
+Shape = message("autoware_perception_msgs/msg/Shape", type=types.uint8, footprint=Polygon, dimensions=Vector3)
+DetectedObjectKinematics = message(
+    "autoware_perception_msgs/msg/DetectedObjectKinematics",
+    pose_with_covariance=PoseWithCovariance,
+    has_position_covariance=bool,
+    orientation_availability=types.uint8,
+    twist_with_covariance=TwistWithCovariance,
+    has_twist=bool,
+    has_twist_covariance=bool,
+)
+DetectedObject = message(
+    "autoware_perception_msgs/msg/DetectedObject",
+    existence_probability=types.float32,
+    classification=types.sequence[ObjectClassification],
+    kinematics=DetectedObjectKinematics,
+    shape=Shape,
+)
+DetectedObjects = message(
+    "autoware_perception_msgs/msg/DetectedObjects", header=Header, objects=types.sequence[DetectedObject]
+)
+TrackedObjectKinematics = message(
+    "autoware_perception_msgs/msg/TrackedObjectKinematics",
+    pose_with_covariance=PoseWithCovariance,
+    twist_with_covariance=TwistWithCovariance,
+    acceleration_with_covariance=AccelWithCovariance,
+    orientation_availability=types.uint8,
+    is_stationary=bool,
+)
+TrackedObject = message(
+    "autoware_perception_msgs/msg/TrackedObject",
+    object_id=UUID,
+    existence_probability=types.float32,
+    classification=types.sequence[ObjectClassification],
+    kinematics=TrackedObjectKinematics,
+    shape=Shape,
+)
+TrackedObjects = message(
+    "autoware_perception_msgs/msg/TrackedObjects", header=Header, objects=types.sequence[TrackedObject]
+)
+PredictedPath = message(
+    "autoware_perception_msgs/msg/PredictedPath",
+    path=types.sequence[Pose],
+    time_step=Duration,
+    confidence=types.float32,
+)
+PredictedObjectKinematics = message(
+    "autoware_perception_msgs/msg/PredictedObjectKinematics",
+    initial_pose_with_covariance=PoseWithCovariance,
+    initial_twist_with_covariance=TwistWithCovariance,
+    initial_acceleration_with_covariance=AccelWithCovariance,
+    predicted_paths=types.sequence[PredictedPath],
+)
+PredictedObject = message(
+    "autoware_perception_msgs/msg/PredictedObject",
+    object_id=UUID,
+    existence_probability=types.float32,
+    classification=types.sequence[ObjectClassification],
+    kinematics=PredictedObjectKinematics,
+    shape=Shape,
+)
+PredictedObjects = message(
+    "autoware_perception_msgs/msg/PredictedObjects", header=Header, objects=types.sequence[PredictedObject]
+)
 
 #: By name of a type, its class.
 CLASSES: dict[str, type[IdlStruct]] = {

@@ -8,8 +8,6 @@ nothing; `raise` lifts all objects by 1 m and sends them back; `drop` sends the 
 `dies` is `tracks` for five messages, then kills itself; `interrupts` sends SIGINT to its parent, once.
 """
 
-from __future__ import annotations
-
 import copy
 import os
 import signal

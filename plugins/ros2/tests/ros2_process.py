@@ -1,7 +1,5 @@
 """Starts a node of ROS 2 in a process of its own, which takes part by zenoh-ros2-sdk (ros2_peer.py)."""
 
-from __future__ import annotations
-
 import json
 import os
 import select

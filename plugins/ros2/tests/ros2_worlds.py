@@ -1,7 +1,5 @@
 """The tiny world with a node of ROS 2 in one place."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from tiny_world import tiny

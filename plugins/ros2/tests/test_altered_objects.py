@@ -1,7 +1,5 @@
 """What an interposer does not touch stays as it was sent; what it alters, removes or adds is all that differs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The ROS 2 bag, read back by rosbags."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Frames of reference that are told of from outside are placed in the world, within limits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from mast_ros2 import frame_transforms

@@ -1,7 +1,5 @@
 """Bytes and hashes of ROS 2 message types are those of other libraries, and of ROS where its hash is known."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Poses, times and trust as ROS 2 messages, and poses that come back."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -12,7 +10,7 @@ from mast_ros2.pose_messages import clock, odometry, transform_message
 from mast_ros2.received_poses import received_pose, received_transforms, stamped_poses
 from mast_ros2.spatial import Transform
 from mast_ros2.trust_messages import diagnostic_array
-from ros2_messages import random_message
+from ros2_messages import random_message, set_to, through
 from scipy.spatial.transform import Rotation
 
 from mast_zenoh.errors import MessageError
@@ -22,11 +20,6 @@ from mast_zenoh.messages.schemas import Body, Header, Message, text
 
 TIME_NS = 12_345_000_000
 NAN = float("nan")
-
-
-def sent(message: Any) -> Any:
-    """A message after the way through its bytes."""
-    return type_store.decode(message.__msgtype__, type_store.encode(message))
 
 
 def random_rotation(random: np.random.Generator) -> Any:
@@ -53,13 +46,8 @@ def transforms() -> list[Transform]:
     ]
 
 
-def test_a_clock_has_seconds_and_nanoseconds() -> None:
-    message = sent(clock(TIME_NS))
-    assert (message.clock.sec, message.clock.nanosec) == (12, 345_000_000)
-
-
 def test_the_velocity_of_an_odometry_is_in_the_axes_of_the_vehicle(pose: Body) -> None:
-    message = sent(odometry(pose, TIME_NS, "map", "ego"))
+    message = through(odometry(pose, TIME_NS, "map", "ego"))
     w, x, y, z = pose["rotation"]
     linear = message.twist.twist.linear
     in_world = Rotation.from_quat([x, y, z, w]).apply([linear.x, linear.y, linear.z])
@@ -68,7 +56,7 @@ def test_the_velocity_of_an_odometry_is_in_the_axes_of_the_vehicle(pose: Body) -
 
 
 def test_a_pose_comes_back_from_its_odometry_and_is_a_valid_message(pose: Body) -> None:
-    received = received_pose(sent(odometry(pose, TIME_NS, "map", "ego")))
+    received = received_pose(through(odometry(pose, TIME_NS, "map", "ego")))
     assert (received.frame_id, received.child_frame_id, received.time_ns) == ("map", "ego", TIME_NS)
     for name, values in pose.items():
         np.testing.assert_allclose(received.columns[name], values, atol=1e-12)
@@ -82,7 +70,7 @@ def test_a_rotation_is_normalised_before_it_is_sent(pose: Body) -> None:
 
 
 def test_transforms_come_back(transforms: list[Transform]) -> None:
-    received = received_transforms(sent(transform_message(transforms)))
+    received = received_transforms(through(transform_message(transforms)))
     assert received.dropped == {}
     for found, original in zip(received.transforms, transforms, strict=True):
         assert found[:3] == original[:3]
@@ -93,18 +81,6 @@ def test_transforms_come_back(transforms: list[Transform]) -> None:
 def test_the_slash_before_a_frame_of_an_old_publisher_is_removed(transforms: list[Transform]) -> None:
     (found,) = received_transforms(transform_message([transforms[0]._replace(parent="/map")])).transforms
     assert found.parent == "map"
-
-
-def set_to(path: str, value: Any) -> Callable[[Any], None]:
-    """Sets a field of a message, at a path of names."""
-
-    def change(message: Any) -> None:
-        *parents, name = path.split(".")
-        for parent in parents:
-            message = getattr(message, parent)
-        setattr(message, name, value)
-
-    return change
 
 
 @pytest.mark.parametrize(
@@ -119,10 +95,8 @@ def set_to(path: str, value: Any) -> Callable[[Any], None]:
         (set_to("header.stamp.sec", -5), "stamp: invalid"),
     ],
 )
-def test_a_transform_that_cannot_be_used_is_counted_and_the_others_stay(
-    transforms: list[Transform], change: Callable[[Any], None], reason: str
-) -> None:
-    message = sent(transform_message(transforms))
+def test_a_transform_that_cannot_be_used_is_counted_and_the_others_stay(transforms, change, reason) -> None:
+    message = through(transform_message(transforms))
     change(message.transforms[2])
     received = received_transforms(message)
     assert received.dropped == {reason: 1}
@@ -147,10 +121,8 @@ def test_too_many_transforms_are_refused_as_a_whole(transforms: list[Transform])
         (set_to("header.stamp.nanosec", 2**32 - 1), "stamp: found 12 s and 4294967295 ns"),
     ],
 )
-def test_an_odometry_that_cannot_be_used_is_refused_with_the_reason(
-    pose: Body, change: Callable[[Any], None], reason: str
-) -> None:
-    message = sent(odometry(pose, TIME_NS, "map", "ego"))
+def test_an_odometry_that_cannot_be_used_is_refused_with_the_reason(pose, change, reason) -> None:
+    message = through(odometry(pose, TIME_NS, "map", "ego"))
     change(message)
     with pytest.raises(MessageError) as refusal:
         received_pose(message)
@@ -169,7 +141,7 @@ def test_a_pose_of_any_type_is_a_transform(kind: str, pose: Body) -> None:
         "geometry_msgs/msg/TransformStamped": (stamped.child_frame_id, stamped.transform),
     }[kind]
     head = [[stamped]] if kind == type_store.TF_MESSAGE else [whole.header]
-    message = sent(type_store.TYPES[kind](*head, *fields))
+    message = through(type_store.TYPES[kind](*head, *fields))
     (found,) = stamped_poses(message).transforms
     has_child = kind in (type_store.ODOMETRY, type_store.TF_MESSAGE, "geometry_msgs/msg/TransformStamped")
     assert found[:3] == ("map", "ego" if has_child else "", TIME_NS)
@@ -190,7 +162,7 @@ def _placed(pose: Body) -> tuple[Any, Any]:
     ],
 )
 def test_a_single_pose_that_cannot_be_used_is_counted(pose: Body, change: Callable[[Any], None], reason: str) -> None:
-    message = sent(odometry(pose, TIME_NS, "map", "ego"))
+    message = through(odometry(pose, TIME_NS, "map", "ego"))
     change(message)
     assert stamped_poses(message) == ((), {reason: 1})
 
@@ -240,17 +212,11 @@ def trust() -> Body:
 
 
 def test_trust_in_each_agent_is_a_status_with_its_level(trust: Body) -> None:
-    array = sent(diagnostic_array(trust, TIME_NS, "command_center"))
+    array = through(diagnostic_array(trust, TIME_NS, "command_center"))
     *agents, _ = array.status
     assert array.header.stamp.sec == 12
     levels = {each.message: each.level for each in agents}
-    assert levels == {
-        "unknown": 0,
-        "trusted": 0,
-        "faulty: drifts": 1,
-        "suspended: adds objects": 2,
-        "undecided": 1,
-    }
+    assert levels == {"unknown": 0, "trusted": 0, "faulty: drifts": 1, "suspended: adds objects": 2, "undecided": 1}
     for k, each in enumerate(agents):
         assert (each.name, each.hardware_id) == (f"command_center: agent_{k}", f"agent_{k}")
         values = {pair.key: pair.value for pair in each.values}
@@ -261,7 +227,7 @@ def test_trust_in_each_agent_is_a_status_with_its_level(trust: Body) -> None:
 
 
 def test_withheld_objects_are_a_warning_with_their_ids(trust: Body) -> None:
-    status = sent(diagnostic_array(trust, TIME_NS, "command_center")).status[-1]
+    status = through(diagnostic_array(trust, TIME_NS, "command_center")).status[-1]
     assert (status.name, status.level) == ("command_center: objects", 1)
     assert status.message == "2 of 6 objects withheld"
     values = {pair.key: pair.value for pair in status.values}

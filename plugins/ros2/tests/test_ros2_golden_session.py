@@ -5,8 +5,6 @@ After a change that is meant to change them, this writes the session again:
     PYTHONPATH=tests/support python tests/viewer/test_ros2_golden_session.py
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import tempfile

@@ -1,7 +1,5 @@
 """Whatever comes from outside costs its message: nodes of ROS 2 live on, and publish valid messages alone."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 from fuzzing import Fuzzing
 from mast_ros2 import type_store
 from ros2_flood import hostile, payload_of
-from ros2_messages import RosLink
+from ros2_messages import RosLink, through
 from tiny_world import Bench, detections, pose, tiny
 
 from mast_zenoh.arrays.states import ObjectStates
@@ -89,10 +87,6 @@ def flooded(resolved: Resolved, name: str, seed: int, *, waits: bool) -> Bench:
         bench.host.arrived()
         bench._collect()  # decodes, so checks, what it has published
     return bench
-
-
-def through(message: Any) -> Any:
-    return type_store.decode(message.__msgtype__, type_store.encode(message))
 
 
 @pytest.mark.parametrize("waits", [True, False], ids=["lockstep", "realtime"])

@@ -1,7 +1,5 @@
 """A scenario with nodes of ROS 2 gives them the router, one clock, and names that ROS 2 can tell apart."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path

@@ -362,9 +362,9 @@ def test_a_publisher_that_was_not_remapped_is_named(router: str, tmp_path: Path)
 
 
 def command(*words: str, folder: Path) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [*MAST, "intercept", *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
+    """`mast intercept`; its output is in folder / output."""
+    with (folder / "output").open("w") as output:
+        return subprocess.Popen([*MAST, "intercept", *words], cwd=folder, stdout=output, stderr=output, text=True)
 
 
 def test_the_command_writes_the_launch_file_attacks_until_it_is_interrupted_and_says_what_it_did(
@@ -383,46 +383,12 @@ def test_the_command_writes_the_launch_file_attacks_until_it_is_interrupted_and_
             own.publish(message)
             arrived.get(timeout=20.0)
     process.send_signal(signal.SIGINT)
-    output, _ = process.communicate(timeout=30.0)
-    assert process.returncode == 0, output
+    code, output = process.wait(30.0), (tmp_path / "output").read_text()
+    assert code == 0, output
     assert "publisher: ros2 launch before.launch.xml file:=ITS_LAUNCH_FILE" in output
     assert f"publisher: ros2 run PACKAGE NODE --ros-args -r {TOPIC}:={TOPIC}/before" in output
     assert "messages: 5, changed: 5, published: 5" in output
     assert (tmp_path / "before.launch.xml").read_text() == launch_fragment(TOPIC)
-
-
-class Output:
-    """What a command says while it is running, until the end of `with`."""
-
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self.text = ""
-        self._process = process
-        self._reader = threading.Thread(target=self._read)
-        self._reader.start()
-
-    def __enter__(self) -> Output:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._process.kill()
-        self._reader.join()
-        self._process.communicate()
-
-    def _read(self) -> None:
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
-            self.text += line
-
-    def has(self, *sentences: str) -> None:
-        """Wait until it has said sentences."""
-        eventually(lambda: all(sentence in self.text for sentence in sentences), f"{sentences}")
-
-    def end(self) -> int:
-        """Interrupt it; its exit code."""
-        self._process.send_signal(signal.SIGINT)
-        code = self._process.wait(30.0)
-        self._reader.join()  # it has read all
-        return code
 
 
 def test_the_command_says_what_makes_it_ineffective_and_the_numbers_also_of_a_node_that_failed(tmp_path: Path) -> None:
@@ -430,8 +396,12 @@ def test_the_command_says_what_makes_it_ineffective_and_the_numbers_also_of_a_no
     (tmp_path / "no_idea.py").write_text(NO_IDEA)
     process = command("--ros2", TOPIC, "--with", "no_idea.py", "--router", router, folder=tmp_path)
     arrived: queue.SimpleQueue[Any] = queue.SimpleQueue()
+
+    def says(*sentences: str) -> None:
+        eventually(lambda: all(each in (tmp_path / "output").read_text() for each in sentences), f"{sentences}")
+
     with (
-        Output(process) as output,
+        process,
         Participant(Connection(router), "tracker") as tracker,
         Participant(Connection(router), "planner") as planner,
     ):
@@ -446,17 +416,17 @@ def test_the_command_says_what_makes_it_ineffective_and_the_numbers_also_of_a_no
         own.publish_bytes(b"no message")
         for _ in range(3):
             arrived.get(timeout=20.0)
-        output.has(f"warning: /tracker publishes on {TOPIC} itself", "warning: a message was passed on unchanged")
+        says(f"warning: /tracker publishes on {TOPIC} itself", "warning: a message was passed on unchanged")
         session.close()
-        output.has("warning: there is no link to the router: meanwhile messages are lost")
-        assert output.end() == 30, output.text
-    assert "warning: no --odometry: to the node, the publisher is at the origin of 'map'" in output.text
-    assert f"warning: {TOPIC}: the stamps have jumped 1 times" in output.text
-    assert "messages: 3, changed: 0, published: 3" in output.text
-    assert (
-        f"warning: 1 messages were passed on unchanged: cannot be read as {type_store.TRACKED_OBJECTS}" in output.text
-    )
-    assert "RuntimeError: no idea: it was on" in output.text
+        says("warning: there is no link to the router: meanwhile messages are lost")
+        process.send_signal(signal.SIGINT)
+        code, output = process.wait(30.0), (tmp_path / "output").read_text()
+        assert code == 30, output
+    assert "warning: no --odometry: to the node, the publisher is at the origin of 'map'" in output
+    assert f"warning: {TOPIC}: the stamps have jumped 1 times" in output
+    assert "messages: 3, changed: 0, published: 3" in output
+    assert f"warning: 1 messages were passed on unchanged: cannot be read as {type_store.TRACKED_OBJECTS}" in output
+    assert "RuntimeError: no idea: it was on" in output
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """ROS 2 Jazzy itself reads our bytes, writes the same ones, and has the same hashes for all types."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import zlib

@@ -1,7 +1,5 @@
 """The example of docs/ros2_nodes.md runs: a node by zenoh-ros2-sdk in a process of its own, and its scenario."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A node of ROS 2 publishes, receives, keeps what comes late, and refuses what is no message, with the reason."""
 
-from __future__ import annotations
-
 import queue
 import socket
 from collections.abc import Iterator
@@ -149,9 +147,7 @@ def test_what_is_no_message_of_rmw_zenoh_is_counted_and_the_next_one_arrives(
     assert participant.refused == {reason: 1}
 
 
-def test_tokens_that_are_none_are_counted_and_their_number_is_limited(
-    router: str, peer: zenoh.Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tokens_that_are_none_are_counted_and_their_number_is_limited(router, peer, monkeypatch) -> None:
     monkeypatch.setattr(ros2_participant, "MOST_TOKENS", 10)
     with Participant(Connection(router, domain=6)) as participant:
         liveliness = peer.liveliness()
@@ -161,9 +157,7 @@ def test_tokens_that_are_none_are_counted_and_their_number_is_limited(
         assert len(participant.graph()) == 10
 
 
-def test_a_flood_of_tokens_hides_no_publisher_of_own_topics(
-    router: str, peer: zenoh.Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_flood_of_tokens_hides_no_publisher_of_own_topics(router, peer, monkeypatch) -> None:
     monkeypatch.setattr(ros2_participant, "MOST_TOKENS", 10)
     monkeypatch.setattr(ros2_participant, "MOST_TOKENS_OF_TOPIC", 3)
 

@@ -1,7 +1,5 @@
 """Nodes of ROS 2 in a process of their own take part in runs of one process."""
 
-from __future__ import annotations
-
 import queue
 import threading
 from collections.abc import Iterator
@@ -9,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import zenoh
 from mast_ros2 import participant as ros2_participant
@@ -19,7 +16,7 @@ from mast_ros2.data_keys import DataKey
 from mast_ros2.participant import Participant, joined
 from mast_ros2.pose_messages import clock
 from mast_ros2.type_store import CLOCK, TF_MESSAGE, encode
-from ros2_process import ADVERSARY, AGENT, CENTER, Ros2Process
+from ros2_process import ADVERSARY, AGENT, Ros2Process
 from ros2_worlds import with_ros2
 from tiny_world import Run, tiny
 
@@ -64,30 +61,6 @@ def test_an_adversary_that_returns_what_it_gets_leaves_no_trace(router: str) -> 
     assert ours["interposers"]["thief"]["effects"] == {}
 
 
-@pytest.mark.heavy
-def test_what_an_adversary_changes_is_measured_on_the_wires(router: str) -> None:
-    with Ros2Process("raise", router, *ADVERSARY):
-        attacked = Run(with_ros2("adversary", router))
-    measured = attacked.results["evaluator"]["metrics"]["interposers"]["thief"]
-    tracks = attacked.decoded("agent/infra_1/tracks", "tracks")
-    assert measured["messages"] == 12
-    assert measured["effects"] == {"moved": sum(len(message.body["id"]) for message in tracks)}
-    table = attacked.results["evaluator"]["tables"]["attacks"]
-    assert (set(table["interposer"]), set(table["columns"])) == ({"thief"}, {"position"})
-    np.testing.assert_allclose(np.asarray(table["after_z"]) - np.asarray(table["before_z"]), 1.0)
-
-
-@pytest.mark.heavy
-def test_the_picture_of_a_node_of_ros_goes_to_the_agents(router: str) -> None:
-    with Ros2Process("echo", router, *CENTER):
-        run = Run(with_ros2("center", router))
-    tracks, pictures = run.decoded("agent/infra_2/tracks", "tracks"), run.decoded("cc/picture", "picture")
-    assert [message.header.frame for message in pictures] == list(range(12))
-    for theirs, ours in zip(tracks, pictures, strict=True):
-        np.testing.assert_array_equal(ours.body["position"], theirs.body["position"])
-    assert run.results["evaluator"]["metrics"]["agents"]["ego"]["mission"]["tp"]["mean"] > 0
-
-
 @pytest.mark.parametrize("place", ["agent", "center", "adversary"])
 def test_a_run_goes_on_without_a_node_of_ros_and_says_so(router: str, place: str, tmp_path: Path) -> None:
     ended = launcher.run(with_ros2(place, router, start_s=0.0), tmp_path / "run", runtime="inproc")
@@ -98,15 +71,6 @@ def test_a_run_goes_on_without_a_node_of_ros_and_says_so(router: str, place: str
     assert notice["count"] == 12
     assert "on which the results depend: 12 of 12 messages had no answer in time" in notice["text"]
     assert "from frame 0 on: no node of ROS 2 is in domain 0" in notice["text"]
-
-
-@pytest.mark.heavy
-def test_a_silent_node_of_ros_costs_a_few_waits(router: str) -> None:
-    with Ros2Process("mute", router, *AGENT):
-        run = Run(with_ros2("agent", router, wait_s=0.05))
-    assert run.results["infra_1"]["outside"]["unanswered"] == 12
-    assert run.messages["agent/infra_1/tracks"] == []
-    assert len(run.messages["cc/picture"]) == 11, "as of an agent that is late: no later clock ends the last frame"
 
 
 def test_without_a_router_the_run_ends_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,5 @@
 """A running run in ROS 2: a foreign client receives every frame of real time, on secure meshes too, and may stall."""
 
-from __future__ import annotations
-
 import re
 import signal
 import subprocess
@@ -85,9 +83,7 @@ def sent(output: str) -> int:
 
 
 @pytest.mark.heavy
-def test_a_foreign_client_receives_every_frame_of_a_run_in_real_time_also_if_it_stalls(
-    launch: Launch, client_of: Any
-) -> None:
+def test_a_foreign_client_receives_every_frame_of_a_run_in_real_time_also_if_it_stalls(launch, client_of) -> None:
     with ros2_router(PATIENT) as router:
         client = client_of(router)
         run = launch(*REAL_TIME, "--frames", "60", "--rate", "1", *settings_of(router))
@@ -100,9 +96,7 @@ def test_a_foreign_client_receives_every_frame_of_a_run_in_real_time_also_if_it_
 
 
 @pytest.mark.heavy
-def test_a_client_that_never_reads_again_is_dropped_and_others_receive_everything(
-    launch: Launch, client_of: Any, tmp_path: Path
-) -> None:
+def test_a_client_that_never_reads_again_is_dropped_and_others_receive_everything(launch, client_of, tmp_path) -> None:
     short = {"transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000}
     tiny = "transport/link/tcp/so_rcvbuf=4096"
     with (
@@ -119,9 +113,7 @@ def test_a_client_that_never_reads_again_is_dropped_and_others_receive_everythin
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("level", ["mtls", "acl"])
-def test_secure_meshes_and_routers_that_demand_certificates_are_bridged(
-    level: str, launch: Launch, client_of: Any, tmp_path: Path
-) -> None:
+def test_secure_meshes_and_routers_that_demand_certificates_are_bridged(level, launch, client_of, tmp_path) -> None:
     authority = Authority("ros")
     own = authority.issue("bridge").write(tmp_path / "bridge")
     files = {"ca": own / "ca.pem", "certificate": own / "certificate.pem", "key": own / "key.pem"}

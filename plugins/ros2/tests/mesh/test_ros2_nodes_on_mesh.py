@@ -1,7 +1,5 @@
 """Nodes of ROS 2 in a process of their own take part in runs on a mesh, as in one process; also by TLS."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import closing
@@ -52,9 +50,7 @@ def counts(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_runs_with_nodes_of_ros_are_the_same_on_the_mesh_and_in_one_process(
-    router: str, tmp_path: Path, place: str
-) -> None:
+def test_runs_with_nodes_of_ros_are_the_same_on_the_mesh_and_in_one_process(router, tmp_path, place) -> None:
     resolved = with_ros2(place, router, record=True)
     behaviour, topics = PLACES[place]
     with Ros2Process(behaviour, router, *topics):
@@ -101,10 +97,7 @@ def test_with_tls_on_both_meshes_and_certificates_on_both_sides(tmp_path: Path, 
     for path, content in zip((tls.ca, tls.certificate, tls.key), contents, strict=True):
         assert path is not None
         path.write_bytes(content)
-    ros2 = {
-        "router": endpoint,
-        "tls": {"ca": str(tls.ca), "certificate": str(tls.certificate), "key": str(tls.key)},
-    }
+    ros2 = {"router": endpoint, "tls": {"ca": str(tls.ca), "certificate": str(tls.certificate), "key": str(tls.key)}}
     behaviour, topics = PLACES[place]
     with Ros2Process(behaviour, endpoint, *topics, tls=tls):
         folder = played(with_ros2(place, endpoint, ros2=ros2), tmp_path / "run", secure="mtls")
