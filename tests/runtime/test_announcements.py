@@ -50,24 +50,6 @@ def places(run: Run, agent: str) -> np.ndarray:
     return run.decoded(f"agent/{agent}/picture", "picture")[-1].body["position"][:, :2]
 
 
-@pytest.mark.parametrize(
-    ("name", "settings"),
-    [
-        ("peers", ()),
-        ("congested", ()),
-        ("congested", ("n_adversaries=1", "on=awareness", "listener=infra_1", "attack_start_s=0.2")),
-    ],
-    ids=["peers", "congested", "lie"],
-)
-def test_any_order_of_delivery_gives_the_same_bytes_encoded_or_not(name: str, settings: tuple[str, ...]) -> None:
-    plain = played(name, *AWARE, *settings)
-    resolved = tiny(name, *AWARE, *settings, infrastructure=2, frames=25)
-    for options in (*(dict(shuffle=shuffle) for shuffle in range(3)), dict(encode=False, shuffle=3)):
-        other = Run(resolved, **options)
-        assert other.messages == plain.messages, options
-        assert other.packed == plain.packed, options
-
-
 def test_a_vehicle_says_where_it_is_after_four_metres_or_a_second_and_a_pole_does_not() -> None:
     run = played("peers", *AWARE)
     sent = run.decoded(KEY, "tracks")

@@ -1,7 +1,5 @@
 """Nodes that die, leave, join and return during a run in one process."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -37,18 +35,6 @@ def played(*steps: tuple[int, str, str], name: str = "coordinated", **options: o
     assert not run.failures
     assert not run.rejected
     return run
-
-
-@pytest.mark.parametrize("node", EVERYONE)
-@pytest.mark.parametrize("action", ["kill", "leave"])
-def test_with_restarted_nodes_a_run_is_the_same_in_every_order_of_delivery(node: str, action: str) -> None:
-    steps = ((4, action, node), (9, "start", node))
-    plain = played(*steps)
-    others = [played(*steps, encode=False), *(played(*steps, shuffle=seed) for seed in range(2))]
-    for other in others:
-        assert other.messages == plain.messages
-        assert other.packed == plain.packed
-    assert plain.messages != played().messages
 
 
 def test_nodes_are_away_between_their_steps_and_begin_anew() -> None:

@@ -35,6 +35,7 @@ from mast_zenoh.runtime.protocol.traffic import (
     stamp_of,
 )
 from mast_zenoh.runtime.waiting import DELAYED, EARLY, HELD, INBOX, Limit, Room
+from mast_zenoh.wiring.insertion import InsertionPoint, insert
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 MIB = 1 << 20
@@ -58,31 +59,19 @@ class Relay(Node):
         context.relay("tracks_out", received, after_s=self.after_s)
 
 
+def wire(key: str, subject: str, message: str, publisher: str, subscriber: str) -> Wire:
+    return Wire(key, subject, message, (Leg(key, Endpoint(publisher, message), (Endpoint(subscriber, message),)),))
+
+
 #: Tracks of two agents reach the relay; `mallory` intercepts the second agent's.
 WIRING = Wiring(
     (
-        Wire("clock", "", "clock", (Leg("clock", Endpoint("simulator", "clock"), (Endpoint("relay", "clock"),)),)),
-        Wire(
-            "agent/a/tracks",
-            "a",
-            "tracks",
-            (
-                Leg("agent/a/tracks/@tap/0", Endpoint("a", "tracks"), (Endpoint("relay", "tracks"),)),
-                Leg("agent/a/tracks", Endpoint("relay", "tracks_out"), (Endpoint("broker", "tracks"),)),
-            ),
-        ),
-        Wire(
-            "agent/b/tracks",
-            "b",
-            "tracks",
-            (
-                Leg("agent/b/tracks/@tap/0", Endpoint("b", "tracks"), (Endpoint("mallory", "tracks"),)),
-                Leg("agent/b/tracks/@tap/1", Endpoint("mallory", "tracks_out"), (Endpoint("relay", "tracks"),)),
-                Leg("agent/b/tracks", Endpoint("relay", "tracks_out"), (Endpoint("broker", "tracks"),)),
-            ),
-        ),
+        wire("clock", "", "clock", "simulator", "relay"),
+        *(wire(f"agent/{name}/tracks", name, "tracks", name, "broker") for name in "ab"),
     )
 )
+for node, agent in (("relay", "a"), ("mallory", "b"), ("relay", "b")):
+    WIRING = insert(WIRING, node, InsertionPoint(f"agent/{agent}/tracks", "tracks", "tracks_out"))
 KEY_A, KEY_B = "agent/a/tracks/@tap/0", "agent/b/tracks/@tap/1"
 
 
@@ -123,16 +112,14 @@ def test_a_floods_held_messages_are_bounded_and_take_no_other_sources_room() -> 
 def test_the_source_of_a_key_is_its_publisher_in_the_newest_wiring() -> None:
     host, _ = hosting(Relay())
     assert host.publisher(KEY_B) == "mallory"
-    *others, wire = WIRING.wires
-    legs = wire.legs[0], replace(wire.legs[1], publisher=Endpoint("eve", "tracks_out")), wire.legs[2]
-    host.rewired(Wiring((*others, replace(wire, legs=legs))))
+    *others, of_b = WIRING.wires
+    legs = of_b.legs[0], replace(of_b.legs[1], publisher=Endpoint("eve", "tracks_out")), of_b.legs[2]
+    host.rewired(Wiring((*others, replace(of_b, legs=legs))))
     assert host.publisher(KEY_B) == "eve"
 
 
 @pytest.mark.parametrize("encode", [True, False])
-def test_a_flood_through_a_delaying_link_loses_only_its_own_messages(
-    encode: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_flood_through_a_delaying_link_loses_only_its_own_messages(encode, monkeypatch) -> None:
     one = len(codec.encode(tracks_of("b", n=10)))
     monkeypatch.setattr("mast_zenoh.runtime.host.DELAYED", Limit(100, 3 * one))
     host, outbox = hosting(Relay(after_s=0.1), encode=encode)
@@ -238,10 +225,7 @@ def test_held_back_messages_are_published_on_the_new_key_and_the_old_one_is_unde
     outlets.send(Outgoing("agent/a/tracks", b"x", 3), 1)
     assert not actions.mock_calls
     assert outlets.move(outlet, "other") == 1
-    assert actions.mock_calls == [
-        call.publish("other", b"x", stamp("other", 1, 3)),
-        call.undeclare("agent/a/tracks"),
-    ]
+    assert actions.mock_calls == [call.publish("other", b"x", stamp("other", 1, 3)), call.undeclare("agent/a/tracks")]
 
 
 @pytest.mark.parametrize(

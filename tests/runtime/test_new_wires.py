@@ -1,7 +1,5 @@
 """A new wire is one key-expression map: links, faults, adversaries and metrics act on it, whatever it carries."""
 
-from __future__ import annotations
-
 import json
 import re
 from functools import cache

@@ -1,7 +1,5 @@
 """A recording gives the metrics measured during the run."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -96,9 +94,7 @@ def test_metrics_are_kept_if_the_recording_ends_before_the_run(tmp_path: Path, w
     assert {name: (folder / name).read_bytes() for name in once} == once
 
 
-def test_a_run_without_metrics_is_measured_to_the_end_of_its_recording_and_reports_it(
-    tmp_path: Path, whole: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_without_metrics_is_measured_to_the_end_of_its_recording_and_reports_it(tmp_path, whole, capsys) -> None:
     folder = cut(whole, tmp_path / "run", 0.6)
     (folder / "metrics.json").unlink()
     for file in folder.glob("*.parquet"):

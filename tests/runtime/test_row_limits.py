@@ -1,7 +1,5 @@
 """Rows beyond what the sensors of a scene can see are dropped by rule, counted and told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -44,15 +42,6 @@ def test_the_kept_rows_have_the_highest_scores_then_the_lowest_ids_in_any_order(
     other = codec.decode(codec.encode(message(shuffled)), "tracks", limits).body
     assert sorted(other["id"].tolist()) == sorted(kept["id"].tolist())
     assert row_limits.excess(kept).startswith("rows: found 12 rows, expected at most 5")
-
-
-def test_rows_are_limited_equally_with_and_without_encoding() -> None:
-    limits = RowLimits({"tracks": 50})
-    sent = message(flood(2000, score=np.random.default_rng(1).uniform(size=2000)))
-    encoded, plain = codec.decode(codec.encode(sent), "tracks", limits).body, codec.limited(sent, limits).body
-    for name, column in plain.items():
-        np.testing.assert_array_equal(column, encoded[name])
-    assert len(plain["id"]) == 50
 
 
 def test_of_a_message_with_far_too_many_rows_only_the_first_are_looked_at() -> None:
@@ -148,11 +137,6 @@ def test_a_receiver_may_choose_its_rows_and_only_these_are_checked_with_and_with
     encoded, plain = chosen(message(few), choice, limits)
     assert encoded == plain
     assert "position" in encoded
-
-
-def test_messages_within_the_limit_are_the_same_object_as_before() -> None:
-    small = message(flood(5))
-    assert codec.limited(small, RowLimits({"tracks": 5})) is small
 
 
 def test_a_node_counts_the_messages_that_it_shortened_and_a_notice_tells_them() -> None:

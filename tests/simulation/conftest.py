@@ -1,7 +1,5 @@
 """The small worlds, and their undisturbed outcomes, once for all tests."""
 
-from __future__ import annotations
-
 import pytest
 from small_worlds import small_worlds
 

@@ -3,8 +3,6 @@
 Each is a function that changes the protocols through a MonkeyPatch. Its docstring says what is wrong then.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any

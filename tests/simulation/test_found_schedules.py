@@ -1,14 +1,12 @@
 """The simulation finds planted bugs, and schedules with which runs of earlier versions broke a promise break none."""
 
-from __future__ import annotations
-
 from itertools import cycle
 
 import planted_bugs as bugs
 import pytest
 from planted_bugs import PLANTS, Plant
 
-from mast_zenoh.testing.simulation import Disturbance, Schedule, SimulatedWorld, check, find, simplest
+from mast_zenoh.testing.simulation import Disturbance, Schedule, check, find, simplest
 
 
 def schedule(seed: int, *disturbances: tuple[float, str, str, float], calm: bool = False) -> Schedule:
@@ -62,9 +60,7 @@ FOUND: list[tuple[Plant, str, Schedule]] = [
 
 
 @pytest.mark.parametrize(("plant", "name", "schedule"), FOUND, ids=lambda value: getattr(value, "__name__", ""))
-def test_a_schedule_that_once_broke_a_promise_breaks_none(
-    plant: Plant, name: str, schedule: Schedule, worlds: dict[str, SimulatedWorld], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_schedule_that_once_broke_a_promise_breaks_none(plant, name, schedule, worlds, monkeypatch) -> None:
     assert check(worlds[name], schedule) == []
     plant(monkeypatch)
     assert check(worlds[name], schedule), f"this schedule no longer shows the bug: {plant.__doc__}"
@@ -75,17 +71,13 @@ SEEDS = 1000
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("plant", PLANTS, ids=lambda plant: plant.__name__)
-def test_a_planted_bug_is_found(
-    plant: Plant, worlds: dict[str, SimulatedWorld], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_planted_bug_is_found(plant, worlds, monkeypatch) -> None:
     plant(monkeypatch)
     names = cycle(PLANTS[plant])
     assert any(find(worlds[name], [seed]) for seed, name in zip(range(SEEDS), names, strict=False)), plant.__doc__
 
 
-def test_a_schedule_with_which_a_promise_is_broken_is_simplified(
-    worlds: dict[str, SimulatedWorld], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_schedule_with_which_a_promise_is_broken_is_simplified(worlds, monkeypatch) -> None:
     (dead,) = (plant for plant in PLANTS if plant.__name__ == "a_dead_node_is_waited_for")
     dead(monkeypatch)
     broken = find(worlds["lockstep"], range(SEEDS))

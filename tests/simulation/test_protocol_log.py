@@ -1,13 +1,10 @@
 """The log of a process replays to the same actions, and shows where another protocol does something else."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from typing import Any
 
 import planted_bugs as bugs
 import pytest
-from planted_bugs import Plant
 from small_worlds import small_worlds
 
 from mast_zenoh.errors import MessageError
@@ -43,9 +40,7 @@ def events(logs: list[ProcessLog]) -> list[AnyEvent]:
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_the_log_of_each_process_of_a_simulated_run_replays_to_the_same_actions(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_log_of_each_process_of_a_simulated_run_replays_to_the_same_actions(name, monkeypatch) -> None:
     world = WORLDS[name]
     for schedule in (INSERTED, *(random_schedule(seed, world) for seed in range(6))):
         for recorded in logs_of(world, schedule, monkeypatch):
@@ -71,9 +66,7 @@ def test_a_log_has_all_that_a_process_was_given_and_asked_for(monkeypatch: pytes
 @pytest.mark.parametrize(
     "plant", [bugs.the_stamp_is_of_an_older_step, bugs.a_node_reports_before_it_has_handled], ids=lambda it: it.__name__
 )
-def test_the_replay_by_a_protocol_with_a_bug_shows_the_first_action_that_differs(
-    plant: Plant, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_replay_by_a_protocol_with_a_bug_shows_the_first_action_that_differs(plant, monkeypatch) -> None:
     world = WORLDS["lockstep"]
     (recorded,) = (each for each in logs_of(world, Schedule(1), monkeypatch) if each.beginning.node == "a")
     plant(monkeypatch)

@@ -1,18 +1,10 @@
 """Nodes that are killed, started, paused and restarted, in simulated runs with many interleavings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 
 import pytest
-from simulated_runs import (
-    CHURN,
-    assert_equals_one_process,
-    listening,
-    resolve,
-    schedule,
-)
+from simulated_runs import CHURN, assert_equals_one_process, listening, resolve, schedule
 from small_worlds import small_world
 
 from mast_zenoh.config.process_steps import ProcessStep
@@ -71,9 +63,7 @@ def paused(*steps: tuple[int, str, str]) -> SimulatedWorld:
 
 
 @pytest.mark.parametrize("interrupted", [True, False])
-def test_a_node_still_paused_at_the_end_or_an_interruption_is_resumed_and_hands_in_its_results(
-    interrupted: bool,
-) -> None:
+def test_a_node_still_paused_at_the_end_or_an_interruption_is_resumed_and_hands_in_its_results(interrupted) -> None:
     world = paused((2 if interrupted else 5, "pause", "b"))
     for seed in SEEDS:
         outcome = play(world, schedule(seed, *[(0.15 + 0.01 * seed, "interrupt", "")] * interrupted))

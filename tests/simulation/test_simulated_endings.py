@@ -1,7 +1,5 @@
 """Simulated runs that are stopped, stall or lose their launcher, at many times and with many interleavings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Scenarios give the same messages, results and failures on a simulated mesh as in one process."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any
@@ -9,83 +7,39 @@ from typing import Any
 import failing
 import pytest
 from driven import driven, over_a_rough_link
-from simulated_runs import (
-    assert_equals_one_process,
-    assert_same_messages,
-    harmless_schedules,
-    in_one_process,
-    on_simulated_mesh,
-    resolve,
-    schedule,
-)
+from simulated_runs import assert_equals_one_process, harmless_schedules, on_simulated_mesh, resolve, schedule
+from tiny_world import tiny
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.runtime.inproc import InProcess
 
 DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
+SUPPORT = Path(__file__).parents[1] / "support"
 #: Numbers of fault schedules; all after the first four are heavy.
 TWENTY = [seed if seed < 4 else pytest.param(seed, marks=pytest.mark.heavy) for seed in range(20)]
-SUPPORT = Path(__file__).parents[1] / "support"
-
-LISTENING = """
-from mast_zenoh.config import loading
-
-_, baseline = loading.function("scenarios", "baseline", "scenario")
 
 
-def scenario(folder=""):
+def test_a_long_run_for_whose_listeners_the_driver_waits_gives_the_same_messages_as_in_one_process() -> None:
+    assert_equals_one_process(resolve("baseline", "n_infrastructure=1", frames=52, seed=3))
+
+
+def listening(scenario: dict[str, Any]) -> None:
+    """An adversary that hears all poses, another one, and two defences on different legs."""
+    guard = dict(role="defence", file=str(SUPPORT / "guard.py"))
+    shadow = dict(file=str(SUPPORT / "shadow.py"), agent="infra_1", heard=["ego", "infra_1", "infra_2"])
+    scenario["nodes"] = {"guard": guard, "source_guard": guard}
+    scenario["adversaries"] = {
+        "shadow": shadow,
+        "eve": dict(agent="infra_2", attack=dict(type="UncoordinatedAttack", start_s=0.2)),
+    }
     every = dict(wire="agent/*/tracks", role="defence", input="tracks")
-    guard = dict(role="defence", file=folder + "/guard.py")
-    return baseline(n_infrastructure=2) | dict(
-        adversaries=dict(
-            shadow=dict(file=folder + "/shadow.py", agent="infra_1", heard=["ego", "infra_1", "infra_2"]),
-            eve=dict(agent="infra_2", attack=dict(type="UncoordinatedAttack", start_s=0.2)),
-        ),
-        nodes=dict(guard=guard, source_guard=guard),
-        keyexpr=dict(
-            rewrites=[
-                "on_detections.toml",
-                {"listen": [dict(wire="agent/*/pose", role="adversary", input="poses", node="shadow")]},
-                {"listen": [every | dict(node="guard"), every | dict(node="source_guard", leg="source")]},
-            ]
-        ),
-    )
-"""
+    listen = [every | dict(node="guard"), every | dict(node="source_guard", leg="source")]
+    listen.append(dict(wire="agent/*/pose", role="adversary", input="poses", node="shadow"))
+    scenario["keyexpr"] = dict(rewrites=["on_detections.toml", {"listen": listen}])
 
 
-@pytest.mark.parametrize(
-    ("name", "settings", "frames"),
-    [
-        ("baseline", ("n_infrastructure=1",), 52),  # the driver has waited for listeners
-        ("uncoordinated", ("n_infrastructure=2", "attack_start_s=0.2"), 12),
-        ("coordinated", ("n_infrastructure=5", "n_adversaries=2", "attack_start_s=0.2"), 8),
-        ("passthrough", ("n_infrastructure=2",), 12),
-        ("rates", ("n_infrastructure=2",), 12),
-        ("delayed", ("n_infrastructure=2",), 12),
-    ],
-)
-def test_a_scenario_gives_the_same_messages_and_results_as_in_one_process(
-    name: str, settings: tuple[str, ...], frames: int
-) -> None:
-    resolved = resolve(name, *settings, frames=frames, seed=3)
-    expected = assert_equals_one_process(resolved)
-    if name == "rates":
-        assert expected.frames("agent/infra_1/detections/narrow") == list(range(frames)), "it measures in every frame"
-
-
-def test_interposers_that_change_nothing_change_no_message_that_a_subscriber_receives() -> None:
-    plain = in_one_process(resolve("baseline", "n_infrastructure=2", frames=12))
-    tapped = resolve("passthrough", "n_infrastructure=2", frames=12)
-    for each in harmless_schedules(tapped, 2):
-        played, _ = on_simulated_mesh(tapped, each)
-        assert_same_messages(played.without_taps(), plain.without_taps(), str(each))
-        assert len(played.messages) > len(plain.messages), "the interposers were there"
-
-
-def test_listeners_receive_the_same_messages_as_in_one_process(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text(LISTENING)
-    resolved = resolve(str(tmp_path / "mine.py"), f"folder={SUPPORT}", frames=12)
-    expected = assert_equals_one_process(resolved)
+def test_listeners_receive_the_same_messages_as_in_one_process() -> None:
+    expected = assert_equals_one_process(tiny(edit=listening, record=True))
     before, after = (
         {message.payload for message in expected.messages if message.key == f"agent/infra_1/detections{leg}"}
         for leg in ("/@tap/0", "")
@@ -128,14 +82,9 @@ def failures_in_one_process(resolved: Resolved) -> dict[str, Any]:
 
 @pytest.mark.parametrize(
     ("name", "node", "handler", "counts"),
-    [
-        ("center", "command_center", "on_collated", (4, 4, 2, 11)),
-        ("evaluator", "evaluator", "finish", (1, 1, 11, 11)),
-    ],
+    [("center", "command_center", "on_collated", (4, 4, 2, 11)), ("evaluator", "evaluator", "finish", (1, 1, 11, 11))],
 )
-def test_failures_of_handlers_equal_those_in_one_process(
-    name: str, node: str, handler: str, counts: tuple[int, ...], tmp_path: Path
-) -> None:
+def test_failures_of_handlers_equal_those_in_one_process(name, node, handler, counts, tmp_path) -> None:
     path = str(failing.write(name, tmp_path))
     expected = failures_in_one_process(resolve(path, frames=12, recorded=False))
     (entry,) = expected[node]

@@ -1,21 +1,12 @@
 """Nodes are inserted into wires of simulated runs and released, with many interleavings; subscribers see nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from simulated_runs import (
-    assert_same_messages,
-    in_one_process,
-    listening,
-    on_simulated_mesh,
-    resolve,
-    schedule,
-)
+from simulated_runs import assert_same_messages, in_one_process, listening, on_simulated_mesh, resolve, schedule
 from small_worlds import small_world
 
 from mast_zenoh.config.resolved import Resolved

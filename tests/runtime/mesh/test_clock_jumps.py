@@ -1,7 +1,5 @@
 """Latencies do not depend on the time of day, which may be set while a run goes on."""
 
-from __future__ import annotations
-
 import time
 from itertools import count
 from typing import Any

@@ -142,9 +142,7 @@ def handle_all(process: ZenohProcess) -> None:
 
 
 @pytest.mark.parametrize("mode", ["realtime", "lockstep"])
-def test_a_message_of_another_wire_of_the_same_source_and_type_is_not_handled(
-    mode: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_message_of_another_wire_of_the_same_source_and_type_is_not_handled(mode, caplog) -> None:
     session, heard = Session().begin(), Session().begin()
     process_of("gps", Gps(), session, mode)
     probe = Probe()

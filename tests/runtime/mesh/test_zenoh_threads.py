@@ -1,7 +1,5 @@
 """Zenoh's threads keep their Python state between two callbacks."""
 
-from __future__ import annotations
-
 import queue
 import threading
 from contextlib import suppress

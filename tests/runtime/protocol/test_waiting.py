@@ -1,7 +1,5 @@
 """When a node of a lock-step run reports its counts, before it waits for messages."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
