@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mast_zenoh.effects import rows
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec, user_types
-from mast_zenoh.messages.layout import LAYOUTS, WIRE_DTYPE
+from mast_zenoh.messages.layout import LAYOUTS
 from mast_zenoh.messages.schemas import BUILT_IN, DTYPES, SCHEMAS, Column, Header, Message, Schema, text
 from mast_zenoh.node import Node
 from mast_zenoh.run_folder.recording.format import DEFINITION, user_schema
@@ -184,10 +184,6 @@ A = Column("a", "int64", ("n",))
 def test_what_is_wrong_with_a_definition_is_named(define: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         define()
-
-
-def test_every_dtype_can_be_sent() -> None:
-    assert set(DTYPES) == WIRE_DTYPE.keys() | {"str"}
 
 
 WIND = Schema("wind", 1, "", (Column("speed", "float64", (1,), "m/s"),))

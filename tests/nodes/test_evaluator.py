@@ -155,17 +155,6 @@ def test_own_tracks_are_scored_as_they_were_computed_and_as_the_broker_received_
     ]
 
 
-def test_a_message_that_is_forwarded_unchanged_is_the_same_estimate(intercepted) -> None:
-    evaluator = Bench(intercepted, "evaluator")
-    for frame in range(3):
-        evaluator.hear("clock", {}, frame)
-        evaluator.hear("scene/truth", truth(*PLACES), frame)
-        sent = evaluator.message("agent/infra_1/tracks/@tap/0", tracks(*PLACES), frame)
-        for key in ("agent/infra_1/tracks/@tap/0", "agent/infra_1/tracks"):
-            evaluator.deliver(key, sent)
-    assert metrics(evaluator)["same_as"]["infra_1"]["received"] == "local"
-
-
 # -- effects of interposers --------------------------------------------------------------------------------------------
 
 

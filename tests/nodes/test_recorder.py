@@ -1,6 +1,5 @@
 """The recorder records all messages without influencing the run."""
 
-import json
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -53,15 +52,6 @@ def test_a_recorder_is_added_on_request_unless_the_scenario_disables_it() -> Non
     content["run"] |= {"record": "yes"}
     with pytest.raises(ConfigurationError, match=r"run\.record: found 'yes', expected True or False"):
         scenario.resolve(path, content, frames=2, record=True)
-
-
-def test_run_json_has_the_number_of_recorded_messages(tmp_path: Path) -> None:
-    outcome = launcher.run(resolved(), tmp_path / "run", runtime="inproc")
-    record = json.loads((outcome.folder / "run.json").read_text())
-    assert record["recorded"] == {"messages": len(list(read(outcome.folder))), "malformed": 0, "lost": 0}
-    without = launcher.run(resolved(record=False), tmp_path / "without", runtime="inproc")
-    assert "recorded" not in without.record
-    assert not (without.folder / "messages.mcap").exists()
 
 
 def test_lost_messages_are_reported_in_run_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

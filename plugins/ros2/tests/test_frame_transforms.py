@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from mast_ros2 import frame_transforms
-from mast_ros2.frame_transforms import FrameTransforms, Placement, between, composed
+from mast_ros2.frame_transforms import FrameTransforms, Placement, between
 from scipy.spatial.transform import Rotation, Slerp
 
 from mast_zenoh.errors import MessageError
@@ -113,11 +113,3 @@ def test_memory_is_limited_and_a_frame_can_get_another_parent() -> None:
     assert len(frames._frames["frame_0"]._times) == frame_transforms.KEPT
     frames.add("frame_1", "frame_0", 0, at(2.0), static=False)
     assert frames.place("frame_0", 0, 0).position[0] == 3.0
-
-
-def test_composing_with_the_inverse_gives_the_identity() -> None:
-    place = at(3.0, 0.7)
-    back = Placement(-rotation_of(place).inv().apply(place.position), place.rotation * [1.0, -1.0, -1.0, -1.0])
-    both = composed(back, place)
-    np.testing.assert_allclose(both.position, 0.0, atol=1e-12)
-    np.testing.assert_allclose(both.rotation, [1.0, 0.0, 0.0, 0.0], atol=1e-12)

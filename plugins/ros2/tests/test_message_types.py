@@ -78,16 +78,6 @@ def test_bytes_of_random_messages_are_those_of_a_second_encoder(type_name: str, 
         assert oracle.decode(type_name, payload) == plain(message)
 
 
-def test_bytes_are_those_that_cdr_prescribes() -> None:
-    time = type_store.TYPES["builtin_interfaces/msg/Time"](3, 7)
-    clock = type_store.TYPES[type_store.CLOCK](time)
-    assert type_store.encode(clock) == bytes.fromhex("00010000 03000000 07000000")
-    header = type_store.TYPES["std_msgs/msg/Header"](time, "map")
-    status = type_store.TYPES[type_store.DIAGNOSTIC_ARRAY](header, [])
-    text, nothing = "04000000 6d617000", "00000000"  # with its zero at the end
-    assert type_store.encode(status) == bytes.fromhex(f"00010000 03000000 07000000 {text} {nothing}")
-
-
 @of_all
 def test_random_messages_survive_in_bytes_of_either_byte_order(type_name: str) -> None:
     random = np.random.default_rng(2)
