@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import MessageError
 from mast_zenoh.integrity.views import collated_columns
-from mast_zenoh.messages import codec
+from mast_zenoh.messages import codec, layout
 from mast_zenoh.messages.layout import BodyLayout
 from mast_zenoh.messages.schemas import SCHEMAS, Column, Header, Message, text
 
@@ -81,6 +81,15 @@ def test_whole_numbers_of_an_equal_type_are_sent_as_int64() -> None:
     sent = codec.conform(Header("status", "someone", 0, 0, 0), body)
     assert sent.body["tracks"].dtype.num == np.dtype(np.int64).num
     assert sent.body["tracks"].tolist() == [4]
+
+
+def test_messages_are_split_after_any_number_of_others_with_other_lengths(monkeypatch) -> None:
+    monkeypatch.setattr(layout, "_MAX_PLANS", 3)
+    payloads = [codec.encode(message_of("picture", {"n": n})) for n in range(8)]
+    for payload in payloads + payloads[-1:]:
+        codec.decode(payload, "picture")
+    monkeypatch.setattr(BodyLayout, "unpack", lambda *_: pytest.fail("not split"))
+    codec.decode(payloads[-1], "picture")
 
 
 @given(seed=st.integers(0, 1 << 32))

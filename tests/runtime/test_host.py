@@ -235,6 +235,19 @@ def test_a_message_cannot_be_relayed_on_a_port_of_another_type() -> None:
         host.relay("status", Received(codec.decode(tracks_payload("b", 3), "tracks"), "b"))
 
 
+def test_valid_messages_are_numbered_for_each_key_and_about_the_current_frame_by_default() -> None:
+    host = listening()
+    host.deliver("clock", clock(4), 4)
+    with pytest.raises(MessageError, match=r"status: columns missing: \['mobile'\]"):
+        host.publish("status", {"detections": np.zeros(1), "tracks": np.zeros(1)})
+    for subject in "aba":
+        host.publish("tracks_out", tracks(), subject=subject)
+    host.publish("status", status(), frame=2, time_ns=5)
+    headers = [codec.decode(o.payload, "tracks" if o.key < "out/s" else "status").header for o in host.outbox]
+    assert [(h.frame, h.time_ns, h.seq) for h in headers] == [(4, 4 * 10**8, seq) for seq in (0, 0, 1)] + [(2, 5, 0)]
+    assert [(out.key, out.step) for out in host.outbox] == [("out/a", 4), ("out/b", 4), ("out/a", 4), ("out/status", 4)]
+
+
 def test_messages_to_an_unconnected_port_are_discarded() -> None:
     host = listening()
     host.publish("nowhere", status())
@@ -415,6 +428,7 @@ def test_it_gets_malformed_messages_whose_body_raises_the_error() -> None:
     for payload in payloads:
         host.deliver("agent/a/tracks", payload, -1, counted=False)
     assert [o.payload for o in host.node.heard] == payloads
+    assert [o.same_bytes(host.node.heard[0]) for o in host.node.heard] == [True, *[False] * 4]
     assert host.node.heard[-1].header.frame == 0, "the body is decoded on first access"
     reasons = ("not MessagePack", "expected 'a'", "found clock", "not MessagePack", "not finite")
     for overheard, words in zip(host.node.heard, reasons, strict=True):

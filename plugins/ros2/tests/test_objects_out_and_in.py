@@ -95,6 +95,8 @@ def test_predicted_paths_lead_straight_on_from_where_the_object_is(states: Objec
             )
             assert pose.orientation == path.path[0].orientation
         assert xyz(path.path[0].position) == xyz(each.kinematics.initial_pose_with_covariance.pose.position)
+    (path,) = predicted_objects(states, 0, "map").objects[0].kinematics.predicted_paths
+    assert len(path.path) == 21, "as of Autoware: ten seconds"
 
 
 @pytest.mark.parametrize("step_s", [0.0, -1.0, 11.0, float("nan")])
