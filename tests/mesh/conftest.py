@@ -1,7 +1,5 @@
 """Real processes on a real mesh, and fixtures that fail on leftovers."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 import threading

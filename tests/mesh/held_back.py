@@ -5,8 +5,6 @@
 OUT.frames holds the number of frames that may begin; between frames the run waits and accepts messages.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Killed, started and paused processes on the mesh: as in one process."""
 
-from __future__ import annotations
-
 import signal
 import sys
 from collections.abc import Callable
@@ -37,9 +35,6 @@ def test_in_lock_step_the_mesh_equals_one_process_despite_kills_and_restarts(tmp
     inproc = launcher.run(what, tmp_path / "inproc", runtime="inproc")
     assert inproc.error is None
     assert_equal(mesh.folder, inproc.folder)
-    assert frames_of(mesh.folder, "agent/infra_1/tracks/@tap/0") == [0, 1, 2, *range(5, 16)]
-    assert frames_of(mesh.folder, "agent/infra_1/tracks") == [0, 1, 2, 5, *range(10, 16)], "its adversary was away"
-    assert frames_of(mesh.folder, "agent/infra_3/tracks") == list(range(2, 16))
     done = [{"frame": frame, "action": action, "node": node} for frame, action, node in CHURN]
     in_order = sorted(done, key=lambda step: (step["frame"], step["action"] == "start", step["node"]))
     assert mesh.record["steps"] == inproc.record["steps"] == in_order

@@ -1,22 +1,24 @@
-"""However a run ends, no process remains and its results are readable."""
-
-from __future__ import annotations
+"""However a run ends, no process remains and its results are readable; what a terminal shows of it is measured."""
 
 import json
 import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import failing
 import held_back
 import psutil
 import pytest
+from drawn_statuses import console, drawn_statuses, evaluated
 from endings_table import ending
 from held_back import allow
 from launched import Launched, eventually
 
+from mast_zenoh import scenario
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.liveness import current_record
 from mast_zenoh.run_folder.recording.reader import read
 
@@ -38,15 +40,6 @@ def test_a_second_signal_ends_nodes_at_once_and_leaves_a_readable_recording(laun
     assert (run.record()["status"], code) == ending("second signal while the scene is played"), output
     assert "Traceback" not in output
     list(read(run.out))
-
-
-def test_a_signal_while_nodes_start_ends_them(launch) -> None:
-    run: Launched = launch(*BASELINE, *PACED)
-    run.started()
-    run.process.send_signal(signal.SIGINT)
-    code, output = run.end()
-    assert (run.record()["status"], code) == ending("signal while nodes start"), output
-    assert "Traceback" not in output
 
 
 def suspend(run: Launched, seconds: float) -> None:
@@ -83,9 +76,7 @@ def test_a_launcher_suspended_too_long_in_real_time_names_lost_nodes(launch) -> 
     list(read(run.out))
 
 
-def test_a_launcher_suspended_too_long_fails_a_run_with_remote_nodes(
-    start: Callable[..., Launched], tmp_path: Path
-) -> None:
+def test_a_launcher_suspended_too_long_fails_a_run_with_remote_nodes(start, tmp_path) -> None:
     allow(tmp_path / "run_0", 20)
     run = start(sys.executable, held_back.__file__, "baseline", PYTHONPATH=os.pathsep.join(sys.path))
     run.at_frame(20)
@@ -99,9 +90,7 @@ def test_a_launcher_suspended_too_long_fails_a_run_with_remote_nodes(
 
 
 @pytest.mark.parametrize("stage", ["starting", "collecting"])
-def test_a_launcher_killed_at_either_end_of_a_run_leaves_no_nodes_running(
-    start: Callable[..., Launched], stage: str, tmp_path: Path
-) -> None:
+def test_a_launcher_killed_at_either_end_of_a_run_leaves_no_nodes_running(start, stage, tmp_path) -> None:
     mast = (sys.executable, str(Path(__file__).parents[1] / "support" / "at_stage.py"), stage, "SIGKILL", "--")
     run = start(*mast, "run", *BASELINE, "--frames", "30", "--no-report", "--out")
     code, output = run.end()
@@ -128,3 +117,64 @@ def test_nodes_that_fill_the_disk_fail_the_run(launch, tiny_disk: Path, tmp_path
     assert "Traceback" not in output
     assert record["recording"]["complete"] is False
     list(read(tiny_disk))
+
+
+def failures(record: dict[str, Any]) -> dict[str, Any]:
+    return {name: node["failures"] for name, node in record["nodes"].items() if node["failures"]}
+
+
+def test_failures_on_a_mesh_equal_those_in_one_process_and_set_the_exit_code(launch, tmp_path: Path) -> None:
+    """Also those of a process that is killed and replaced."""
+    failing.write("attack", tmp_path)
+    path = tmp_path / "killed.py"
+    path.write_text(
+        "from attack import Fragile, scenario as attacked\n\n"
+        "def scenario():\n"
+        "    faults = [dict(type='Kill', at=0.8, node='eve', restart_after=0.2)]\n"
+        "    return attacked() | dict(faults=faults)\n"
+    )
+    run: Launched = launch(str(path), "--frames", "14", "--no-record")
+    output = run.ended(30)
+    record = run.record()
+    assert record["status"] == "handler_failures"
+    assert "HandlerFailed: handlers failed, so the numbers may be wrong:\n  eve.on_detections failed 7 times" in output
+    assert str(run.out / "logs" / "eve.log") in output
+    (entry,) = failures(record)["eve"]
+    assert (entry["count"], entry["frames"], entry["first_frame"], entry["last_frame"]) == (7, 7, 5, 13)
+    file, loaded = scenario.load(str(path), [])
+    alone = launcher.run(scenario.resolve(file, loaded, frames=14), tmp_path / "inproc", runtime="inproc")
+    assert failures(record) == failures(alone.record)
+    assert (run.out / "metrics.json").is_file(), "the results are kept as evidence"
+
+
+SILENT = {"evaluator", "recorder"}
+
+
+@pytest.mark.parametrize(("mode", "secure", "frames"), [("lockstep", "acl", 240), ("realtime", "open", 60)])
+def test_rates_lags_and_the_score_are_those_of_the_run(monkeypatch, tmp_path, mode, secure, frames) -> None:
+    drawn = drawn_statuses(monkeypatch)
+    path, loaded = scenario.load(
+        "coordinated", ("n_infrastructure=2", "n_adversaries=1", f"attack_start_s={frames / 20}")
+    )
+    resolved = scenario.resolve(path, loaded, frames=frames, mode=mode, rate=2.0, record=True)
+    ended = launcher.run(resolved, tmp_path / "run", secure=secure, console=console(80))
+    assert ended.error is None
+    playing = [each for each in drawn if each.activities]
+    heard = [each for each in playing if all(each.activities[name].drops is not None for name in ("ego", "broker"))]
+    for name in resolved.nodes.keys() - SILENT:
+        activities = [each.activities[name] for each in playing]
+        assert any(each.rate_hz for each in activities), name
+        assert min(each.lag for each in activities if each.lag is not None) <= 1, name
+    assert all(each.activities[name].rate_hz is None for each in playing for name in SILENT)
+    if mode == "lockstep":
+        assert all(each.activities[name].drops == 0 for each in heard for name in ("simulator", "ego", "broker"))
+    states = {
+        (each.frame > frames // 2, each.states["adversary_1"]) for each in playing if each.states["ego"] == "running"
+    }
+    assert states >= {(False, "running"), (True, "attack")}
+    expected = evaluated(ended.folder)
+    scores = [each.score for each in playing if each.score is not None]
+    assert len({each.frame for each in scores}) > 3
+    assert all(each[2:5] == expected[each.frame] for each in scores)
+    latencies = {each.latency_ms is not None and each.latency_ms > 0.0 for each in scores}
+    assert latencies == {mode == "realtime"}

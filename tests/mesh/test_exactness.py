@@ -1,20 +1,23 @@
-"""Runs on the mesh are bitwise equal to each other and to one process."""
+"""Runs on the mesh are bitwise equal to each other and to one process, also random ones, and their logs replay.
 
-from __future__ import annotations
+MAST_SCENARIOS=60 plays the first 60 random scenarios instead of one of each kind.
+"""
 
 import json
 import os
-import tarfile
+import sys
 from pathlib import Path
 
+import protocol_log
 import pytest
+import random_scenarios
 from equal_runs import assert_equal, run_alone
 from launched import Launched
 
 from mast_zenoh.run_folder.recording.reader import read
+from mast_zenoh.runtime.protocol_log import PROTOCOL_LOGS, difference
 
 pytestmark = pytest.mark.mesh
-DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
 FRAMES = 8
 
 
@@ -35,38 +38,57 @@ def test_two_runs_on_the_mesh_and_one_in_one_process_are_equal(launch, tmp_path:
     assert_equal(first, run_alone(tmp_path / "inproc", *what, frames=FRAMES, record=True))
 
 
-def test_the_reference_scene_is_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
-    archive = DATA / "scene_a.tar.gz"
-    if not archive.exists():
-        pytest.skip(f"no reference data: {archive} is missing (set MAST_DATA)")
-    with tarfile.open(archive) as tar:
-        tar.extractall(tmp_path, filter="data")
-    what = ("uncoordinated", f"scene=avstack:{tmp_path / 'scene_a'}", "attack_start_s=0.2")
-    assert_equal(on_mesh(launch, *what), run_alone(tmp_path / "inproc", *what, frames=FRAMES, record=True))
-
-
 FAULTS = [
     dict(type="Partition", at=0.2, until=0.4, node="infra_1"),
     dict(type="Loss", at=0.1, node="ego", probability=0.4),
     dict(type="BandwidthLimit", at=0.0, nodes=["ego", "infra_3"], bits_per_s=300_000.0),
     dict(type="Delay", at=0.1, node="infra_2", mean_s=0.15, jitter_s=0.1),
 ]
-LIES = ("n_adversaries=1", "attack_start_s=0.2")
 
 
-@pytest.mark.parametrize(
-    "what",
-    [
-        ("peers", *LIES, "on=pair", "relays=true", "gossip=true", "n_slanderers=1"),
-        ("congested", "n_mobile=2", *LIES),
-        ("two_centres",),
-    ],
-    ids=lambda what: what[0],
-)
-def test_cooperation_without_a_centre_with_links_and_faults_is_the_same_on_the_mesh_and_in_one_process(
-    launch, tmp_path: Path, what
-) -> None:
-    what = (*what, f"faults={json.dumps(FAULTS)}")
+def test_peers_with_links_faults_and_lies_are_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path) -> None:
+    """Channels and several centres are in the random scenarios."""
+    lies = ("n_adversaries=1", "attack_start_s=0.2", "on=pair", "n_slanderers=1")
+    what = ("peers", *lies, "relays=true", "gossip=true", f"faults={json.dumps(FAULTS)}")
     mesh = on_mesh(launch, *what)
     assert any(message.message == "link_report" for message in read(mesh))
     assert_equal(mesh, run_alone(tmp_path / "inproc", *what, frames=FRAMES, record=True))
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("number", range(int(os.environ.get("MAST_SCENARIOS", len(random_scenarios.KINDS)))))
+def test_a_random_scenario_is_the_same_on_the_mesh_and_in_one_process(launch, tmp_path: Path, number: int) -> None:
+    scenario = random_scenarios.drawn(number)
+    words = [word for setting in scenario.settings for word in ("--set", setting)]
+    run = launch(scenario.name, "--frames", str(random_scenarios.FRAMES), "--seed", str(scenario.seed), *words)
+    run.ended()
+    recorded = run.record()["recorded"]  # links may have corrupted some
+    assert (recorded["messages"], recorded["lost"]) == (len(list(read(run.out))), 0)
+    alone = dict(frames=random_scenarios.FRAMES, seed=scenario.seed, record=True)
+    assert_equal(run.out, run_alone(tmp_path / "inproc", scenario.name, *scenario.settings, **alone))
+
+
+def check_replays(run: Launched) -> None:
+    """Every node has a log, and its replay asks for the same actions and writes nothing into the run folder."""
+    before = {path: path.stat().st_mtime_ns for path in run.out.rglob("*")}
+    paths = sorted((run.out / PROTOCOL_LOGS).iterdir())
+    assert {path.stem for path in paths} == run.record()["nodes"].keys()
+    for path in paths:
+        (log,) = protocol_log.logs_in(path)
+        assert difference(log, protocol_log.replayed(run.out, log)) == "", path.stem
+        assert log.steps[-1].call == "handle"
+        assert {action[0] for step in log.steps for action in step.actions} >= {"control", "appear", "hand_in"}
+    assert {path: path.stat().st_mtime_ns for path in run.out.rglob("*")} == before
+
+
+def test_a_run_is_logged_on_request_and_each_log_replays_to_the_same_actions(launch, monkeypatch, capsys) -> None:
+    run: Launched = launch("uncoordinated", "--frames", "3", "--debug-protocol")
+    run.ended()
+    check_replays(run)
+    monkeypatch.setattr(sys, "argv", ["protocol_log.py", str(run.out), "ego"])
+    protocol_log.main()
+    assert "steps are equal" in capsys.readouterr().out
+    logs = [str(run.out / PROTOCOL_LOGS / f"{node}.msgpack") for node in ("infra_1", "infra_2")]
+    monkeypatch.setattr(sys, "argv", ["protocol_log.py", *logs])
+    with pytest.raises(SystemExit, match=r"process 0:\nstep 0: action 1: \['subscribe', 'agent/infra_1/"):
+        protocol_log.main()

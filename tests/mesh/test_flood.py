@@ -1,7 +1,5 @@
 """A flood of large messages uses a bounded amount of memory."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Unsigned control messages have no effect; an open mesh counts them."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Routers and nodes without a launcher leave, but routers give it time to arrive."""
 
-from __future__ import annotations
-
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -34,9 +32,7 @@ def test_without_a_launcher_the_process_leaves(session: zenoh.Session) -> None:
     assert watch.gone
 
 
-def test_a_launcher_may_take_longer_to_arrive_than_it_may_be_absent_later(
-    session: zenoh.Session, tmp_path: Path
-) -> None:
+def test_a_launcher_may_take_longer_to_arrive_than_it_may_be_absent_later(session, tmp_path) -> None:
     left = threading.Event()
     with LauncherWatch(session, "a", 0.0, left.set, arrival_s=60.0) as watch:
         launcher = session.liveliness().declare_token(f"{control_prefix('a')}/launcher")

@@ -1,7 +1,5 @@
 """A running run in a browser: what the page draws is what the run recorded, and nobody is held back."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal
@@ -131,9 +129,7 @@ def test_the_page_of_a_running_run_draws_what_is_recorded(show: Callable[..., Li
         assert len(found) > 5
 
 
-def test_a_viewer_of_a_secure_run_has_a_certificate_of_its_own_and_changes_nothing(
-    show: Callable[..., LiveRun], launch: Callable[..., Launched], tmp_path: Path
-) -> None:
+def test_a_viewer_of_a_secure_run_has_a_certificate_of_its_own_and_changes_nothing(show, launch, tmp_path) -> None:
     words = ("uncoordinated", "--set", "n_infrastructure=2", "--set", "attack_start_s=0.5", "--frames", "400")
     live = show(*words, "--secure")
     live.frames(2)

@@ -1,7 +1,5 @@
 """In lock-step a suspended node is waited for; a lost one fails the run."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """A malformed control message costs one message and does not affect the run."""
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import os
@@ -19,7 +17,6 @@ import pytest
 import zenoh
 from damage import malformed_payloads
 from equal_runs import assert_equal
-from fuzzing import Fuzzing
 from held_back import allow, resolved
 from launched import Launched, Observer, eventually
 from sound_controls import CODECS, packed
@@ -175,9 +172,7 @@ def refused(invalid: dict[str, list[Any]]) -> dict[str, int]:
     return {key: count for key, (count, _) in invalid.items()}
 
 
-def test_each_malformed_control_message_is_refused_and_counted_once_per_receiver(
-    begin: Callable[[int], Launched], tmp_path: Path, fuzzing: Fuzzing
-) -> None:
+def test_each_malformed_control_message_is_refused_and_counted_once_per_receiver(begin, tmp_path, fuzzing) -> None:
     total = TOTAL_LONG if fuzzing.long else TOTAL
     run = begin(2)
     run.started()
@@ -222,9 +217,7 @@ def test_each_malformed_control_message_is_refused_and_counted_once_per_receiver
     assert {place: pair for place, pair in both.items() if pair[0] != pair[1]} == {}, "(counted, sent)"
 
 
-def test_malformed_control_messages_until_the_end_cost_no_valid_one(
-    begin: Callable[[int], Launched], tmp_path: Path, fuzzing: Fuzzing
-) -> None:
+def test_malformed_control_messages_until_the_end_cost_no_valid_one(begin, tmp_path, fuzzing) -> None:
     run = begin(1)
     run.started()
     sender = Sender(run, fuzzing.seed)

@@ -1,7 +1,5 @@
 """Arbitrary messages on an open mesh cost one message each."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import random

@@ -1,7 +1,5 @@
 """Hosts as namespaces: link behaviour, isolation and cleanup."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import socket
@@ -163,9 +161,7 @@ def missing_capability(need: str) -> str | None:
     return None
 
 
-def test_missing_tools_are_named_with_their_purpose_and_package(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_tools_are_named_with_their_purpose_and_package(tmp_path, monkeypatch) -> None:
     require("relay")
     (tmp_path / "bin").mkdir()
     for program in ("ip", "tc"):

@@ -1,7 +1,5 @@
 """Runs in three namespaces: partitions, a slow link, and interruptions."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,13 +1,10 @@
 """Replays on a mesh, started like a user does."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from launched import MAST, Launched
+from launched import MAST
 from tiny_world import tiny
 
 from mast_zenoh import replay
@@ -32,9 +29,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run.folder
 
 
-def test_one_process_and_a_secure_mesh_replay_each_other_to_the_last_byte(
-    start: Callable[..., Launched], recorded: Path, tmp_path: Path
-) -> None:
+def test_one_process_and_a_secure_mesh_replay_each_other_to_the_last_byte(start, recorded, tmp_path) -> None:
     run = start(*MAST, "replay", str(recorded), "--secure", "--no-report", "--out")
     run.ended()
     on_mesh, record = run.out, run.record()
@@ -47,9 +42,7 @@ def test_one_process_and_a_secure_mesh_replay_each_other_to_the_last_byte(
     assert compare(on_mesh, again.folder, taps=True).first is None
 
 
-def test_an_endless_paced_replay_ends_with_results_when_interrupted(
-    start: Callable[..., Launched], recorded: Path
-) -> None:
+def test_an_endless_paced_replay_ends_with_results_when_interrupted(start, recorded) -> None:
     command = (*MAST, "replay", str(recorded), "--loop", "--rate", "2", "--no-report", "--out")
     run = start(*command)
     run.until(run.recorded, "the recorder has started")

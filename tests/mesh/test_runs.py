@@ -1,7 +1,5 @@
 """A scenario on the mesh: one process per role, same result as in one."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -23,9 +21,7 @@ def metrics(folder: Path) -> bytes:
     return (folder / "metrics.json").read_bytes()
 
 
-def test_every_role_runs_in_its_own_process_with_the_metrics_of_one_process_and_plain_output(
-    launch, tmp_path: Path
-) -> None:
+def test_every_role_runs_in_its_own_process_with_the_metrics_of_one_process_and_plain_output(launch, tmp_path) -> None:
     run: Launched = launch("uncoordinated", "--set", "n_adversaries=2", *SHORT, "--seed", "3")
     output = run.ended()
     record = run.record()
@@ -113,40 +109,3 @@ def test_an_existing_router_can_be_used(launch, tmp_path: Path) -> None:
         run: Launched = launch("baseline", *SHORT, "--endpoint", endpoint)
         run.ended()
     assert metrics(run.out) == metrics(run_alone(tmp_path / "inproc", "baseline", frames=FRAMES))
-
-
-def test_a_user_defined_node_next_to_the_scenario_takes_part(launch, tmp_path: Path) -> None:
-    (tmp_path / "deaf.py").write_text(
-        "import gc\n"
-        "from mast_zenoh.node import Node\n"
-        "from mast_zenoh.runtime.mesh.hosting import main\n"
-        "class Deaf(Node):\n"
-        "    role = 'adversary'\n"
-        "    inputs = {'clock': 'clock', 'detections': 'detections'}\n"
-        "    outputs = {'detections_out': 'detections'}\n"
-        "    def __init__(self, agent: str):\n"
-        "        self.agent = agent\n"
-        "    def on_clock(self, received, context):\n"
-        "        assert gc.isenabled(), 'it is off only until the node is hosted'\n"
-        "    def on_detections(self, received, context):\n"
-        "        empty = {name: column if name.startswith('mount') else column[:0]\n"
-        "                 for name, column in received.body.items()}\n"
-        "        context.relay('detections_out', received, empty)\n"
-        "if __name__ == '__main__':\n"
-        "    main(Deaf)\n"
-    )
-    (tmp_path / "mine.py").write_text(
-        "from mast_zenoh.config import loading\n"
-        "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n"
-        "def scenario():\n"
-        "    return baseline() | dict(\n"
-        "        adversaries=dict(deaf=dict(file='deaf.py', agent='infra_2')),\n"
-        "        keyexpr=dict(map='testbed.toml', rewrites=[dict(insert=[dict(wire='agent/{agent}/detections',\n"
-        "            role='adversary', input='detections', output='detections_out')])]),\n"
-        "    )\n"
-    )
-    run: Launched = launch(str(tmp_path / "mine.py"), *SHORT)
-    run.ended()
-    agents = json.loads(metrics(run.out))["agents"]
-    assert agents["infra_2"]["local"]["tp"]["mean"] == 0
-    assert agents["infra_1"]["local"]["tp"]["mean"] > 0

@@ -1,7 +1,5 @@
 """A compromised node can stop an open run, but not a secure one."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 

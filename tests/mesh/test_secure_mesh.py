@@ -1,7 +1,5 @@
 """Admission to a secure mesh: real routers and clients, in this process."""
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -98,9 +96,7 @@ def test_a_client_with_credentials_never_connects_unencrypted() -> None:
 
 
 @pytest.mark.parametrize("sent", [b"GET / HTTP/1.0\r\n\r\n", bytes.fromhex("1603010200010001fc0303"), b""])
-def test_a_client_is_admitted_while_others_send_invalid_data(
-    sent: bytes, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_client_is_admitted_while_others_send_invalid_data(sent, monkeypatch, caplog) -> None:
     """After each failed handshake, the router accepts no client for 0.1 s."""
     monkeypatch.setattr(diagnosis, "_CONNECT_S", 0.2)
     with secure_router("acl") as (deployment, endpoint), ExitStack() as stack:

@@ -1,7 +1,5 @@
 """Every attempt of an outsider succeeds on an open run and fails otherwise."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A node may take as long to finish as it makes progress; one that hangs is ended."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +29,7 @@ def scenario(end="compute"):
 """
 
 NODE = f"""
+import gc
 import threading
 import time
 
@@ -47,6 +46,7 @@ class Slow(Node):
         self.end = end
 
     def on_clock(self, received, context):
+        assert gc.isenabled(), "it is off only until the node is hosted"
         context.append("rows", self.rows(received.frame * 30_000, 30_000))
 
     def rows(self, start, count):

@@ -1,7 +1,5 @@
 """Viewers and foreign clients do not hold up a lock-step run, even when they are suspended."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
@@ -128,17 +126,13 @@ def watched(run: Launched, endpoint: str, program: str, *arguments: str) -> Iter
 @pytest.mark.parametrize(
     "program", [_SUSPENDED, _TRICKLE, _SUSPENDED_CLAIMANT], ids=["suspended", "slow", "claims to be a node"]
 )
-def test_a_run_goes_on_without_a_client_that_does_not_read_in_time_and_names_it(
-    begun: tuple[Launched, str], undisturbed: Path, program: str
-) -> None:
+def test_a_run_goes_on_without_a_client_that_does_not_read_in_time_and_names_it(begun, undisturbed, program) -> None:
     run, endpoint = begun
     with watched(run, endpoint, program, f"mast/{run.record()['id']}/alive/infra_1"):
         assert "did not read in time what it subscribed to" in disconnected(run, undisturbed)
 
 
-def test_a_run_begins_with_a_node_whose_name_was_claimed_before_it_was_there(
-    begun: tuple[Launched, str], undisturbed: Path
-) -> None:
+def test_a_run_begins_with_a_node_whose_name_was_claimed_before_it_was_there(begun, undisturbed) -> None:
     run, endpoint = begun
     with watching(_CLAIMANT, endpoint, f"mast/{run.record()['id']}/alive/infra_1"):
         run.ended()

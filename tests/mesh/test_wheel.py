@@ -1,7 +1,5 @@
 """An installed wheel works outside the checkout."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
