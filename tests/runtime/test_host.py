@@ -246,6 +246,9 @@ def test_valid_messages_are_numbered_for_each_key_and_about_the_current_frame_by
     headers = [codec.decode(o.payload, "tracks" if o.key < "out/s" else "status").header for o in host.outbox]
     assert [(h.frame, h.time_ns, h.seq) for h in headers] == [(4, 4 * 10**8, seq) for seq in (0, 0, 1)] + [(2, 5, 0)]
     assert [(out.key, out.step) for out in host.outbox] == [("out/a", 4), ("out/b", 4), ("out/a", 4), ("out/status", 4)]
+    assert host.sent == {"out/a": 2, "out/b": 1, "out/status": 1}
+    host.reset_counts()
+    assert not host.sent
 
 
 def test_messages_to_an_unconnected_port_are_discarded() -> None:
