@@ -72,6 +72,16 @@ def test_reports_of_another_epoch_or_of_non_members_are_ignored() -> None:
     assert pacer.silent == set(MEMBERS)
 
 
+def test_dead_nodes_are_not_waited_for() -> None:
+    pacer = pacer_after({"simulator": ({"clock": 1}, {}), "broker": ({}, {"clock": 1})})
+    assert not pacer.quiet()
+    pacer.report("agent", 1, {}, {})
+    assert "agent has handled 0 of 1" in "".join(pacer.unsettled())
+    pacer.drop(["agent"])
+    assert pacer.quiet()
+    assert "agent" not in "".join(pacer.unsettled())
+
+
 @pytest.mark.parametrize(
     ("sent", "handled", "reason"),
     [
