@@ -82,6 +82,14 @@ def test_dead_nodes_are_not_waited_for() -> None:
     assert "agent" not in "".join(pacer.unsettled())
 
 
+def test_listeners_are_waited_for_only_on_request() -> None:
+    pacer = pacer_after(DONE, LISTENED)
+    assert pacer.quiet()
+    assert not pacer.quiet(include_listeners=True)
+    pacer.report("evaluator", 1, {}, {"clock": 1, "collated": 1})
+    assert pacer.quiet(include_listeners=True)
+
+
 @pytest.mark.parametrize(
     ("sent", "handled", "reason"),
     [
