@@ -27,6 +27,7 @@ def test_every_figure_is_drawn_and_names_the_worst_adversary_in_words() -> None:
     ]
     assert "Open: 4.20 by Ghost, 1 adversary" in figures["defence_matrix"].alt
     assert "Wall 0.90" in figures["roc"].alt
+    assert all(figure.pdf for figure in figures.values()), "for print"
 
 
 def test_the_heat_maps_have_a_scale_and_explain_their_marks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -48,10 +49,6 @@ def test_the_heat_maps_have_a_scale_and_explain_their_marks(monkeypatch: pytest.
     assert key.startswith("Italic: the 95 % interval contains 0")
     assert "Hatched: the adversaries lied in none" in key
     assert [patch.get_xy() for patch in maps.patches if patch.get_hatch()] == [(0.5, -0.5)]  # type: ignore[attr-defined]
-
-
-def test_every_figure_of_the_study_is_printed_too() -> None:
-    assert all(figure.pdf for figure in figures_of_defences(matrix()).values())
 
 
 @pytest.mark.heavy

@@ -73,7 +73,6 @@ def acting_on_misses(ego: Metrics) -> Metrics:
     return {"picture": clean, "picture_received": received, "mission": mission}
 
 
-BOTH = ("adversary_1", "adversary_2")
 INSERTED = dict(kind="change", what="false", value=6.25, where="picture", cause="adversary_2")
 #: Attack, changed files, findings, and one that must be absent.
 ALONE: dict[str, tuple[str, dict[str, Any], list[dict[str, Any]], dict[str, Any]]] = {
@@ -215,7 +214,6 @@ def test_sentences_give_the_numbers_of_the_table(run_of: RunOf) -> None:
 
 def test_an_attack_in_a_single_frame_has_one_time(run_of: RunOf) -> None:
     run = run_of("uncoordinated", metrics={"interposers": {"adversary_2": ...}})
-    assert run.files.effects is not None
     only = (run.files.effects["frame"] == 20) & (run.files.effects["interposer"] == "adversary_1")
     run = run.with_(effects={name: column[only] for name, column in run.files.effects.items()})
     assert found(run, kind="during", when=(2.0, 2.0), value=10.0)
@@ -341,7 +339,6 @@ def test_false_objects_during_the_attack_are_those_of_its_scored_frames(run_of: 
     base, run = run_of(), run_of("uncoordinated", metrics={"scored_frames": [0, 29]})
     assert found(run, base, kind="during", what="false", value=10.0, other=pytest.approx(0.0))
     assert during(base) == []
-    assert run.files.counts is not None
     run.files.counts["fp"] = np.where(run.files.counts["frame"] >= 30, 1000, run.files.counts["fp"])
     assert found(run, kind="during", what="false", value=10.0)
 
@@ -516,7 +513,6 @@ def test_a_forged_view_is_described_as_what_the_agent_says_it_sees(run_of: RunOf
     run = run_of("uncoordinated")
     run.files.summary["interposers"]["adversary_1"]["effects"] = {"reframed": 27}
     table = run.files.effects
-    assert table is not None
     views = (table["interposer"] == "adversary_1") & (table["effect"] == "removed")
     table["message"] = np.where(views, "view", table["message"]).astype(object)
     table["wire"] = np.where(views, "agent/infra_1/view", table["wire"]).astype(object)

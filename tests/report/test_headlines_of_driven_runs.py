@@ -186,7 +186,6 @@ def test_changed_commands_have_words_of_their_own(number: int, driven: Driven) -
     run.files.wiring["wires"] = [wire]
     run.files.summary["interposers"]["adversary_1"] |= {"effects": {"reframed": number}, "wires": [wire["key"]]}
     table = run.files.effects
-    assert table is not None
     own = table["interposer"] == "adversary_1"
     table["message"] = np.where(own, "command", table["message"]).astype(object)
     table["wire"] = np.where(own, "agent/ego/command", table["wire"]).astype(object)

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.over_time import driving_over_time
 from mast_zenoh.report.findings import changes, details
 from mast_zenoh.report.findings.adversaries import limits
 from mast_zenoh.report.findings.words import said
-from mast_zenoh.report.html import write_page, write_report
 from mast_zenoh.report.tables.of_run import achieved_table, driving_table
 from mast_zenoh.report.tables.text_table import DASH
-from mast_zenoh.report.terminal import show_loaded
 from mast_zenoh.runs.run import Run
 
 RunOf = Callable[..., Run]
@@ -166,7 +162,6 @@ def test_a_share_of_the_time_is_never_rounded_up_to_all_of_it(attacked: Run) -> 
 
 def test_objects_inserted_on_a_real_object_match_it(attacked: Run) -> None:
     truth = attacked.files.objects
-    assert truth is not None
     at = (truth["frame"] == 20) & (truth["kind"] == "truth") & (truth["estimator"] == "picture")
     beside = targets("inserted", n=1, x=float(truth["x"][at][0]) + 1.5, y=float(truth["y"][at][0]))
     assert why(attacked, beside, **NOT_ACCEPTED) == [("inserted", "on real objects", 1.0)]
@@ -215,7 +210,6 @@ def test_an_agent_whose_adversary_changes_the_same_object_does_not_see_it(
     other |= {name: np.full(10, value) for name, value in changes_of_the_other.items()}
     table = {name: np.concatenate([first[name], other[name]]) for name in first}
     scene = attacked.files.scene
-    assert scene is not None
     points = np.where(np.isin(scene.agent_names, seen_by), 10, 0) + 0 * scene.points
     reason = why(attacked.with_(scene=replace(scene, points=points)), table, **NOT_HIDDEN)
     assert reason == [SEEN if seen else ("removed", "tracked", 0.0)]
@@ -227,19 +221,8 @@ def test_adversary_before_another_agent_is_not_judged_by_the_ego(attacked: Run) 
     assert why(attacked, None) == [("", "elsewhere", "infra_1")]
 
 
-def test_terminal_and_page_show_limited_effects(attacked: Run) -> None:
-    why(attacked, targets("removed", seen_by_others=True), **NOT_HIDDEN)
-    page = io.StringIO()
-    show_loaded(Console(file=page, width=200), attacked)
-    assert "  limited effect: removed: other agents still saw what it removed, 100% of the time\n" in page.getvalue()
-    html = write_page(attacked).read_text()
-    assert "Changes with limited effect, and why" in html
-    assert "no effect" not in page.getvalue() + html
-
-
 def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attacked: Run) -> None:
     boxes = attacked.files.objects
-    assert boxes is not None
     boxes["by"] = np.where(boxes["outcome"] != "matched", "adversary_1", "").astype(object)
     assert why(attacked, targets("removed"), "fn", **NOT_HIDDEN) == []
     assert why(attacked, targets("removed"), "fp", **NOT_HIDDEN), "blamed for its insertions"
@@ -260,8 +243,6 @@ def test_downlink_manipulations_are_judged_by_the_ego_alone(
     attacked: Run, tracked: int, reason: tuple[Any, ...]
 ) -> None:
     objects, effects = attacked.files.objects, attacked.files.effects
-    assert objects is not None
-    assert effects is not None
     effects["message"] = np.full(len(effects["frame"]), "picture", object)
     own = (objects["estimator"] == "local") & (objects["kind"] == "truth") & (objects["id"] == 7)
     seen = (objects["frame"] >= 20) & (objects["frame"] < 20 + tracked)
@@ -287,7 +268,6 @@ def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: Run, run_of
     overlapping = {"driving": {"ego": {"mission": DRIVES["mission"] | {"overlapping_objects": 0.75}}}}
     run = run_of("uncoordinated", metrics=overlapping)
     assert driving_table(run).lines[0].cells[4] == "0.75"
-    assert "overlapping<br>the ego" in write_report(run.path).read_text()
 
 
 def test_driving_is_compared_with_another_run(run_of: RunOf, attacked: Run) -> None:
@@ -334,7 +314,6 @@ def test_needless_braking_is_drawn_when_it_happens(attacked: Run) -> None:
     table |= {"missed": np.zeros(80, int), "ttc_s": np.where(brakes, 1.0, np.nan)}
     table |= {"brake": brakes, "needless": brakes, "omitted": np.zeros(80, bool)}
     figure = driving_over_time(attacked.with_(driving=table), 21)
-    assert figure is not None
     assert "brakes needlessly" in [text.get_text() for text in figure.legends[0].get_texts()]
     (bars,) = (each for each in figure.axes[2].collections if each.get_label() == "brakes needlessly")
     spans = [path.get_extents() for path in bars.get_paths()]

@@ -68,20 +68,6 @@ def attacked_and_faulted(run_folder: Callable[..., Path]) -> Path:
     return faulted(run_folder("uncoordinated"), PARTITION, KILL, ATTACK, checks=CHECKS)
 
 
-def test_the_page_has_the_split_the_checks_and_the_latency(attacked_and_faulted: Path) -> None:
-    page = write_report(attacked_and_faulted).read_text("utf-8")
-    for heading in ("Causes of missed and false objects", "Checks", "Latency"):
-        assert f">{heading}</h2>" in page
-    assert "Faults of the scenario: Partition infra_1 from 0.5 s and Kill infra_2 from 1 s" in page
-    assert "Some checks failed: collation" in page
-    assert "2 tracks &lt;lost&gt;" in page
-    assert "<strong>failed</strong>" in page
-    assert "converged to the unfaulted one 0.4 s after the heal" in page
-    assert '<code>agent/ego/tracks</code></td><td class="num">1.50</td>' in page
-    assert '<th scope="row">infra_1</th><td class="num">17</td>' in page
-    assert (attacked_and_faulted / "figures" / "causes.png").is_file()
-
-
 @pytest.mark.parametrize("attack", ["", "uncoordinated"])
 def test_run_without_links_and_faults_has_no_such_sections(run_folder: Callable[..., Path], attack: str) -> None:
     folder = run_folder(attack)
@@ -91,7 +77,6 @@ def test_run_without_links_and_faults_has_no_such_sections(run_folder: Callable[
     assert bands([run], timed=True) == []
     assert causes_over_time(run, None) is None
     figure = counts_over_time({"run": run}, None)
-    assert figure is not None
     assert len(figure.axes) == 3
     page = write_report(folder).read_text("utf-8")
     for heading in ("Causes of missed and false objects", "Checks", "Latency"):
@@ -102,7 +87,6 @@ def test_run_without_links_and_faults_has_no_such_sections(run_folder: Callable[
 
 def test_bands_and_their_names_are_above_the_counts(attacked_and_faulted: Path) -> None:
     figure = counts_over_time({"run": Run(attacked_and_faulted)}, None)
-    assert figure is not None
     assert len(figure.axes) == 4
     assert {text.get_text() for text in figure.axes[0].texts} == {
         "Partition infra_1",
@@ -132,10 +116,8 @@ def test_permanent_link_has_no_band(run_folder: Callable[..., Path]) -> None:
 def test_missed_objects_are_stacked_by_cause(attacked_and_faulted: Path) -> None:
     run = Run(attacked_and_faulted)
     figure = causes_over_time(run, 20)
-    assert figure is not None
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["link or fault", "inserted"]
     counts = run.counts_of("picture")
-    assert counts is not None
     for axes, column in zip(figure.axes[1:], ("fn", "fp"), strict=True):
         (area,) = (each for each in axes.collections if each.get_label() in ("link or fault", "inserted"))
         assert area.get_paths()[0].vertices[:, 1].max() == counts[column].max() > 0

@@ -47,9 +47,7 @@ def panels(view: Frame) -> Mapping[str, np.ndarray]:
 
 
 def view_of(run: Run, frame: int = 33) -> Frame:
-    view = frame_view(run, frame)
-    assert view is not None
-    return view
+    return frame_view(run, frame)
 
 
 @pytest.fixture
@@ -90,7 +88,6 @@ def test_unevaluated_objects_are_green(run_of: Callable[..., Run]) -> None:
 
 def test_the_camera_sees_false_objects_ahead_in_the_picture_only(attacked: Frame) -> None:
     figure = camera_figure(attacked)
-    assert figure is not None
     image = image_of(png(figure))
     half = len(image) // 2
     assert pixels(image[:half], "track false") == 0
@@ -123,7 +120,6 @@ def test_the_legend_fits_into_a_figure_of_any_width_and_says_how_high_it_is(atta
 
 
 def test_arrows_are_in_the_legend_of_the_view_from_above_alone(attacked: Frame) -> None:
-    assert attacked.run.files.effects is not None
     attacked.run.files.effects["effect"] = np.full(len(attacked.run.files.effects["frame"]), "moved")
     view = view_of(attacked.run.with_())
     above, ahead = ([entry.get_label() for entry in legend_entries([view], THEMES["dark"], camera=camera)]
@@ -144,16 +140,13 @@ def test_four_or_more_runs_use_more_rows(clean: Frame) -> None:
 
 def test_counts_are_drawn_from_any_number_of_frames(run_of: Callable[..., Run]) -> None:
     run = run_of()
-    assert run.files.counts is not None
     few = {name: column[:2] for name, column in run.files.counts.items()}
     figure = counts_over_time({"run": run.with_(counts=few)}, 0)
-    assert figure is not None
     assert len(png(figure)) > 5000
 
 
 def test_smoothed_lines_do_not_rise_before_the_attack(run_of: Callable[..., Run]) -> None:
     figure = counts_over_time({"run": run_of("uncoordinated")}, None)
-    assert figure is not None
     bold = next(line for line in figure.axes[1].get_lines() if line.get_label() == "picture")
     time, false = bold.get_xdata(), bold.get_ydata()
     assert false[time < 1.45].max() == 0.0

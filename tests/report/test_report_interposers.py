@@ -177,10 +177,8 @@ def test_interposer_removed_during_the_run_is_named_and_drawn() -> None:
     assert row.intercepted
     assert row.when == {"mallory": "frames 44 to 89"}
     plan = layout(run)
-    assert plan is not None
     assert Spot("mallory", after=1) in plan.places
     figure = draw_wiring(run)
-    assert figure is not None
     assert "frames 44 to 89" in {text.get_text() for text in figure.axes[0].texts}
     assert b"<svg" in svg(figure)
 

@@ -195,7 +195,6 @@ def test_the_figure_shows_the_speeds_of_both_and_the_needless_brake_as_a_band(
 ) -> None:
     run, twin = both
     figure = driven_figure(run, twin)
-    assert figure is not None
     _, acceleration, speed = figure.axes
     lines = {line.get_label(): line for line in speed.get_lines()}
     own = lines[f"ego, {run.name}"]
@@ -227,7 +226,6 @@ def with_twin(both: tuple[Run, Reference]) -> Run:
 
 def test_the_page_has_the_course_of_the_car_and_of_its_twin(with_twin: Run) -> None:
     data = run_block(with_twin)
-    assert data is not None
     header, columns = unpack(data)
     own, twin = course(hard=True), course(hard=False)
     assert header["drives"] == [{"car": "ego", "twin": "unattacked"}]
@@ -250,7 +248,6 @@ def test_the_page_has_the_course_of_the_car_and_of_its_twin(with_twin: Run) -> N
 def test_a_page_of_damaged_consequences_shows_the_rest(damaged: Any, with_twin: Run) -> None:
     with_twin.files.summary["driven"] = damaged
     data = run_block(with_twin)
-    assert data is not None
     header, columns = unpack(data)
     assert not [each for each in header["events"] if each["kind"] in ("brake", "collision")]
     assert not columns["drive.brake"].any()
@@ -292,7 +289,6 @@ def test_a_film_shows_speed_rear_lights_and_the_twin(with_twin: Run) -> None:
 
 
 def test_films_and_the_page_say_nothing_of_a_brake_while_it_is_interrupted(with_twin: Run) -> None:
-    assert with_twin.files.driven is not None
     with_twin.files.driven["acceleration_mps2"][18:20] = 0.5, -1.2
     marks = DriveMarks(Figure().add_subplot(), Take(with_twin, "picture"), THEMES["light"], 1.0)
     for frame, lights in [(17, 1), (18, 0), (19, 0), (20, 1)]:
@@ -300,5 +296,4 @@ def test_films_and_the_page_say_nothing_of_a_brake_while_it_is_interrupted(with_
         assert len(marks.lights.get_segments()) == lights
         assert ("brakes" in marks.text.get_text()) == bool(lights)
     data = run_block(with_twin)
-    assert data is not None
     assert unpack(data)[1]["drive.brake"][17:21].tolist() == [2, 0, 0, 2]

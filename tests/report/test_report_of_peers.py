@@ -1,17 +1,26 @@
-"""Words on runs of peers: they name the agent that is deceived, and what of it is compromised."""
+"""Pages and words on runs of peers: they speak of no centre, and name the agent that is deceived."""
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from kept_texts import visible
+from rich.console import Console
 
 import mast_zenoh as mast
+from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.findings import outcome
 from mast_zenoh.report.findings.adversaries import attacks, limits, positions
-from mast_zenoh.report.findings.defence import of_defence
+from mast_zenoh.report.findings.defence import of_defence, of_pictures
 from mast_zenoh.report.findings.words import defence_line, said
+from mast_zenoh.report.tables.pictures import picture_table
+from mast_zenoh.report.terminal import show_run
+from mast_zenoh.runs.events import spans
+from mast_zenoh.runs.files import RunFiles
 from mast_zenoh.runs.run import Run
 
 SETTINGS: dict[str, Any] = dict(n_infrastructure=2, n_mobile=1, attack_start_s=0.3, scene_index=8)
@@ -32,6 +41,18 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Run:
 @pytest.fixture(scope="module")
 def heard(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return run_of_peers(tmp_path_factory.mktemp("heard"), on="heard", n_adversaries=1, defence="FaultOrLie")
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    settings = dict(n_infrastructure=3, n_mobile=1, n_adversaries=1, attack_start_s=0.3, defence="Pasac")
+    return mast.run("peers", frames=12, seed=3, **settings, out=tmp_path_factory.mktemp("peers") / "run")
+
+
+@pytest.fixture(scope="module")
+def radio(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    sizes = dict(n_infrastructure=2, n_mobile=1, n_adversaries=1, attack_start_s=1.0)
+    return mast.run("congested", report=False, frames=30, out=tmp_path_factory.mktemp("radio") / "run", **sizes)
 
 
 @pytest.fixture(scope="module")
@@ -83,3 +104,63 @@ def test_the_headline_counts_only_objects_of_the_causes_that_it_names(gossip: Ru
     (change,) = (each for each in outcome(gossip) if each.kind == "change")
     assert (change.what, change.value, change.where) == ("missed", 0.3, "picture")
     assert change.cause[0].startswith("Hearsay, which withheld objects")
+
+
+def test_pages_films_and_the_terminal_speak_of_the_ego_and_its_peer(judged: mast.Run) -> None:
+    console = Console(file=io.StringIO(), width=1000)
+    show_run(console, judged.path)
+    page, terminal = visible(judged.report()), console.file.getvalue()
+    for text in (page, terminal, judged.headline):
+        assert "common picture" not in text
+        assert "command centre" not in text
+    assert "picture of the ego" in page
+    assert "the ego peer" in page
+    assert "the ego peer suspended" in terminal
+    run = Run(judged.path)
+    assert not run.has_centre
+    assert Take(run, "picture").title == "the picture of the ego"
+    begins = [span["begins"] for span in spans(run, np.arange(12) * run.period_s) if span["kind"] == "suspension"]
+    assert begins
+    assert all(each.startswith("the ego peer suspends ") for each in begins)
+
+
+def test_each_agent_has_a_line_with_the_scores_of_its_own_picture(radio: mast.Run) -> None:
+    record = Run(radio.path)
+    lines = {line.cells[0]: line.cells for line in picture_table(record).lines}
+    assert set(lines) == {"ego", "mobile_1", "infra_1", "infra_2"}
+    missed = radio.summary["agents"]["infra_2"]["picture"]["fn"]["mean"]
+    assert lines["infra_2"][1] == f"{missed:.2f}"
+    assert lines["infra_1"][4] == "0"  # the liar's own picture is right
+    assert int(lines["ego"][4]) > 0
+
+
+@pytest.mark.heavy
+def test_the_page_tells_whom_attacks_deceived_and_how_busy_the_channel_was(radio: mast.Run) -> None:
+    page = radio.report().read_text()
+    record = Run(radio.path)
+    told = of_pictures(record)
+    assert [each.kind for each in told if each.kind != "overconfident"] == [
+        "pictures",
+        "deceived",
+        "channel",
+        "channel",
+    ]
+    for sentence in said(record, told):
+        assert sentence in page
+
+
+def test_the_pictures_whose_errors_exceed_their_covariances_are_counted() -> None:
+    above = {"position": {"nees": 44.12, "above": ["ego", "b"]}, "velocity": {"nees": 1.0, "above": []}}
+    pictures = {
+        "count": 3,
+        "difference_gospa_m": {"mean": 4.04},
+        "deceived": {"first_s": 2.0, "share": {"mean": 0.125}, "most": 0.875},
+        "consistency": above,
+    }
+    run = Run.of(RunFiles(None, summary={"pictures": pictures}))
+    assert said(run, of_pictures(run)) == [
+        "3 agents have pictures of their own; GOSPA between two: 4.0 m, mostly objects that one of them lacks",
+        "Attacks deceived 13 % of them at a time, at most 88 %, first at 2.0 s",
+        "Errors are larger than covariances say (NEES above its 95 % bounds, 2 expected): "
+        "positions in 2 of 3 pictures (on average 44.1)",
+    ]

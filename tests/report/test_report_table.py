@@ -73,14 +73,11 @@ def counts(fp: list[int], first: int = 0) -> dict[str, Any]:
     }
 
 
-def test_counts_per_frame_give_the_spread_of_changes() -> None:
+def test_counts_per_frame_give_the_spread_of_changes_over_the_scored_frames_of_both_runs() -> None:
     table = score_table(RUNS, counts={"baseline": counts([0, 1, 0]), "uncoordinated": counts([0, 4, 6])})
     assert table.cell("fp", "uncoordinated", "picture").change.std == pytest.approx(np.std([0, 3, 6]))
     (row,) = (row for row in table.rows if (row.measure.label, row.run) == ("fp", "uncoordinated"))
     assert row.over_alone.std == pytest.approx(np.std([0, 4, 6]))
-
-
-def test_changes_cover_the_scored_frames_of_both_runs() -> None:
     runs = {label: summary | {"scored_frames": [1, 3]} for label, summary in RUNS.items()}
     table = score_table(runs, counts={"baseline": counts([9, 0, 1, 0]), "uncoordinated": counts([4, 6, 9], first=2)})
     assert table.cell("fp", "uncoordinated", "picture").change.std == pytest.approx(np.std([3, 6]))
@@ -102,13 +99,10 @@ def test_the_picture_in_transit_has_a_column_if_something_changed_it() -> None:
     assert forged.cell("fp", "run", "picture_received").value.mean == 5.25
 
 
-def test_markdown_has_a_line_per_metric_and_run() -> None:
+def test_markdown_has_a_line_per_metric_and_run_which_no_label_can_break() -> None:
     head, rule, *rows = as_markdown(score_table(RUNS)).splitlines()
     assert {line.count("|") for line in (head, rule, *rows)} == {10}
     assert "| false (FP) | uncoordinated | 0.50 | +0.00 | 9.65 | +9.40 | 9.65 | +9.40 | +9.15 |" in rows
-
-
-def test_a_label_cannot_break_the_markdown() -> None:
     lines = as_markdown(score_table({"a|b\nc": RUNS["baseline"]})).splitlines()
     assert lines[2].startswith("| missed (FN) | a\\|b c |")
 

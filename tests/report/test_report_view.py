@@ -58,21 +58,23 @@ def test_the_scored_frame_with_the_largest_effect_of_the_attack_or_benefit_is_sh
     assert choose_frame(run) == frame
 
 
-def test_with_a_baseline_the_frame_with_the_largest_difference_is_shown() -> None:
+def test_the_frame_of_compared_runs_has_the_largest_difference_and_one_with_unsettled_effects_is_never_chosen() -> None:
     baseline = a_run([(0, 0), (0, 0), (0, 0), (4, 0), (0, 1)])
     assert choose_frame(a_run([(0, 0), (0, 0), (1, 2), (4, 1), (0, 5)], attack=[11]), baseline) == 14
-
-
-def test_a_frame_in_which_effects_are_unsettled_is_never_chosen() -> None:
     run = a_run([(0, 0), (1, 0), (9, 0), (2, 0)], attack=[11, 12, 13])
-    assert run.files.effects is not None
     run.files.effects["effect"] = np.array(["inserted", "unsettled", "inserted"])
     assert choose_frame(run) == 13
+    baseline = a_run([(0, 0)] * 4)
+    weak, strong = (
+        a_run([(0, 0), (0, 2), (0, 0), (0, 0)], attack=[10]),
+        a_run([(0, 0), (0, 0), (0, 5), (0, 0)], attack=[10]),
+    )
+    assert choose_common_frame([baseline, weak, strong], baseline) == 12
+    assert choose_common_frame([baseline, a_run([(0, 0)] * 4)], baseline) == choose_frame(baseline)
 
 
 def test_errors_of_all_kinds_count() -> None:
     run = a_run([(0, 0)] * 4, attack=[10])
-    assert run.files.counts is not None
     picture = np.flatnonzero(run.files.counts["estimator"] == "picture")
     run.files.counts["tp"] = np.full(8, 20)
     run.files.counts["rmse_m"] = np.zeros(8)
@@ -83,17 +85,8 @@ def test_errors_of_all_kinds_count() -> None:
     assert choose_frame(run) == 13
 
 
-def test_runs_share_the_frame_of_the_largest_effect() -> None:
-    baseline = a_run([(0, 0)] * 4)
-    weak = a_run([(0, 0), (0, 2), (0, 0), (0, 0)], attack=[10])
-    strong = a_run([(0, 0), (0, 0), (0, 5), (0, 0)], attack=[10])
-    assert choose_common_frame([baseline, weak, strong], baseline) == 12
-    assert choose_common_frame([baseline, a_run([(0, 0)] * 4)], baseline) == choose_frame(baseline)
-
-
 def test_window_is_square_and_contains_all_nearby_objects(run_folder: Callable[..., Path]) -> None:
     view = frame_view(Run(run_folder()), 20)
-    assert view is not None
     window = window_of([view])
     assert window.across == window.up
     boxes = np.concatenate([boxes.position for of in view.boxes.values() for boxes in of.values()])
@@ -104,7 +97,6 @@ def test_window_is_square_and_contains_all_nearby_objects(run_folder: Callable[.
 
 def test_the_estimate_used_to_choose_a_frame_is_shown(run_folder: Callable[..., Path]) -> None:
     run = Run(run_folder("uncoordinated"))
-    assert run.files.objects is not None
     touched = run.files.objects["estimator"] == "picture"
     more = {name: np.concatenate([column, column[touched]]) for name, column in run.files.objects.items()}
     more["estimator"] = more["estimator"].astype(object)
@@ -112,10 +104,8 @@ def test_the_estimate_used_to_choose_a_frame_is_shown(run_folder: Callable[..., 
     run.files.objects = more
     run.files.summary["same_as"]["ego"]["picture_received"] = "picture_on_arrival"
     view = frame_view(run, 20, "picture_received")
-    assert view is not None
     assert list(view.boxes) == ["local", "picture_received", "mission"]
     assert len(view.boxes["picture_received"]["track false"]) == 10
-    assert run.files.effects is not None
     run.files.effects["message"] = np.full(len(run.files.effects["frame"]), "picture")
     assert len(replace(view, run=run.with_()).behind.added) == 10
     assert len(replace(view, run=run.with_()).marks("picture_received").added) == 10

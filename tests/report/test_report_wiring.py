@@ -46,7 +46,6 @@ def mesh(agents: int, chain: int, message: str) -> Run:
 @pytest.mark.parametrize(("agents", "chain"), [(1, 0), (5, 1), (12, 3)])
 def test_nodes_do_not_overlap(agents: int, chain: int, message: str) -> None:
     plan = layout(mesh(agents, chain, message))
-    assert plan is not None
     assert len(plan.places) == 3 + agents * (1 + (2 if message == "both" else 1) * chain)
     for (ax, ay), (bx, by) in itertools.combinations(plan.places.values(), 2):
         assert abs(ax - bx) >= WIDE or abs(ay - by) >= HIGH
@@ -68,7 +67,6 @@ def test_peers_stand_beside_their_agents_and_send_to_one_node_for_all_others(age
     for wire in wires:
         wire["subject"] = wire["key"].split("/")[1]
     plan = layout(a_run(wires, roles))
-    assert plan is not None
     for (ax, ay), (bx, by) in itertools.combinations(plan.places.values(), 2):
         assert abs(ax - bx) >= WIDE or abs(ay - by) >= HIGH
     for name in names:
@@ -81,7 +79,6 @@ def test_peers_stand_beside_their_agents_and_send_to_one_node_for_all_others(age
 
 def test_nodes_on_a_wire_are_between_its_ends_in_order() -> None:
     plan = layout(mesh(3, 2, "tracks"))
-    assert plan is not None
     infra, links = Spot("infra_1"), [Spot(f"infra_1_link_{k}", after=1) for k in (0, 1)]
     xs = [plan.places[spot][0] for spot in (infra, *links, Spot("broker"))]
     assert xs == sorted(xs)
@@ -97,7 +94,6 @@ def test_a_listener_is_drawn_on_its_leg_and_named_in_the_table() -> None:
     ]
     run = a_run([wire], {"ego": "agent", "broker": "broker", "mallory": "adversary"})
     plan = layout(run)
-    assert plan is not None
     mallory = Spot("mallory", after=1)
     assert {to for source, to in plan.lines if source == mallory} == {Spot("broker"), Spot("guard")}
     assert {to for source, to in plan.lines if source == Spot("ego")} == {mallory, Spot("source_guard")}
@@ -120,7 +116,6 @@ def branched(trunk: tuple[str, ...] = ()) -> Run:
 
 def test_a_link_before_one_subscriber_is_drawn_next_to_it_and_does_not_affect_the_others() -> None:
     plan = layout(branched())
-    assert plan is not None
     link, agent, centre = Spot("link_infra_2", after=1), Spot("infra_2"), Spot("command_center")
     assert plan.places[link][1] == pytest.approx(plan.places[agent][1] - 0.5 * ROW)
     assert plan.places[link][0] == plan.places[Spot("link_infra_1", after=1)][0]
@@ -133,7 +128,6 @@ def test_a_link_before_one_subscriber_is_drawn_next_to_it_and_does_not_affect_th
 def test_interposer_on_the_trunk_intercepts_all_branches() -> None:
     run = branched(("mallory",))
     plan = layout(run)
-    assert plan is not None
     mallory = Spot("mallory", after=1)
     assert plan.places[mallory][0] < plan.places[Spot("link_infra_1", after=1)][0]
     assert plan.lines[Spot("command_center"), mallory].intercepted
@@ -148,5 +142,4 @@ def test_interposer_on_the_trunk_intercepts_all_branches() -> None:
 def test_unknown_roles_and_unusual_names_are_drawn() -> None:
     run = a_run([a_wire("x", "y$_{", "my$node^{", ["a name that is far too long for its box", "ego"])])
     figure = draw_wiring(run)
-    assert figure is not None
     assert b"<svg" in svg(figure)

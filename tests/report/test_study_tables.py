@@ -10,7 +10,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from rich.console import Console
+from kept_texts import assert_kept, printed
+from scipy.stats import binomtest
 from study_samples import BASELINE, estimate, facts, grid, row
 
 from mast_zenoh.metrics.significance import holm
@@ -19,15 +20,80 @@ from mast_zenoh.report.narrative.study import compare, other_changes, reservatio
 from mast_zenoh.report.tables import study
 from mast_zenoh.report.tables.study_rows import over_trials
 from mast_zenoh.report.tables.text_table import TextTable
+from mast_zenoh.study.statistics import trial_estimate
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2, 3)), *grid("coordinated", 0.5, n=(1, 2, 3))]
 FAILED = FailedTrial("coordinated-3", "intersection:1", 7, "RunError: on | purpose", "mast run coordinated --seed 7")
 
 
-def shown(rows=ROWS, failed=()) -> str:
-    page = io.StringIO()
-    Console(file=page, width=80).print(study.as_rich(rows, facts(rows, failed)))
-    return page.getvalue()
+def with_more(row: StudyRow, **numbers: SeriesEstimate) -> StudyRow:
+    """A row with more numbers, by owner, estimator and metric with underscores between."""
+    named = {StudySeries(*name.split("__")): number for name, number in numbers.items()}
+    return replace(row, estimates={**row.estimates, **named})
+
+
+RARE = trial_estimate(np.array([[0.0] * 16 + [0.1, 0.02, 0.01, 0.27]]), (-np.inf, np.inf), paired=True)
+ZEROS = [with_more(each, ego__picture__fn_iob=RARE, ego__mission__fn_iob=RARE) for each in ROWS[1:3]]
+ODD = SeriesEstimate(3.0, 1.0, 2.5, 2.0, 3.0, seeds=6)
+PEERS = [
+    with_more(ROWS[1], all__pictures__deceived=estimate(0.25, 0.1)),
+    with_more(ROWS[2], all__pictures__deceived=estimate(0.3, 0.1), all__channel__busy_ratio=estimate(0.6, 0.1)),
+]
+STUDIES: dict[str, tuple[list[StudyRow], list[FailedTrial]]] = {
+    "failed": (ROWS, [FAILED]),
+    "mostly_zero": ([BASELINE, *ZEROS], []),
+    "changed_ego": (
+        [BASELINE, with_more(ROWS[1], ego__local__fp_iob=estimate(0.5), ego__mission__near_misses=ODD)],
+        [],
+    ),
+    "two_means": ([BASELINE, StudyRow("x", "x", {}, {StudySeries("ego", "picture", "fp_iob"): ODD})], []),
+    "peers": ([BASELINE, *PEERS], []),
+    "long_names": ([BASELINE, *grid("a_run_with_quite_a_long_name", n=(1, 2), false_positives=(5.0, 20.0))], []),
+}
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_tables_in_text_csv_latex_and_on_a_terminal(name: str) -> None:
+    """Kept word by word; those that say the same in other words are kept for one study."""
+    rows, failed = STUDIES[name]
+    known = facts(rows, failed)
+    terminal, markdown, latex = (
+        printed(study.as_rich(rows, known)),
+        study.as_markdown(rows, known),
+        study.as_latex(rows, known),
+    )
+    numbers = study.as_csv(rows, known)
+    more = {"failed": [markdown], "mostly_zero": [numbers, latex]}.get(name, [])
+    assert_kept(f"study_{name}", terminal, *more)
+    assert max(map(len, terminal.splitlines())) <= 80
+    assert "…" not in terminal
+    for line, after in pairwise(markdown.splitlines()):
+        assert not after.startswith("|---") or line.count("|") == after.count("|")
+    for tabular in latex.split(r"\end{tabular}"):
+        lines = [line for line in tabular.splitlines() if line.endswith(r"\\")]
+        assert len({line.count("&") for line in (lines[2:] if tabular.startswith("% needs") else lines)}) <= 1
+    assert latex.isascii()
+    lines = list(csv.DictReader(io.StringIO(numbers)))
+    assert {line["configuration"] for line in lines} == {row.label for row in rows}
+    assert len(lines) == sum(len(row.estimates) for row in rows)
+
+
+def test_differences_that_are_mostly_zero_have_the_exact_interval_of_their_share() -> None:
+    exact = binomtest(16, 20).proportion_ci(method="exact")
+    assert (RARE.zero_share, RARE.zero_low, RARE.zero_high) == pytest.approx((0.8, exact.low, exact.high))
+    assert RARE.trial_mean == pytest.approx(0.02)
+    assert np.isnan([RARE.low, RARE.high]).all()
+    assert pytest.approx(binomtest(0, 4).pvalue) == RARE.p, "the sign test of the others"
+    assert over_trials(RARE) == "0.02 (0 in 80 % [56, 94])"
+    often, never, scenes = (
+        trial_estimate(np.array(values, float), (-np.inf, np.inf), paired=True)
+        for values in ([[0, 0, 1, 2, 3]], [[0] * 5], [[0.1, 0.2, 0.3, 0.1, 0.2], [0] * 5, [0] * 5])
+    )
+    assert often.zero_share == 0.4
+    assert not np.isnan([often.low, often.high, often.p]).any()
+    assert (never.unchanged, never.certain) == (True, False)
+    assert over_trials(never) == "0.00 (0 in 100 % [48, 100])"
+    assert scenes.zero_share == pytest.approx(2 / 3), "counted by trial: no seed's average over the scenes is 0"
 
 
 @pytest.mark.parametrize(
@@ -43,84 +109,6 @@ def shown(rows=ROWS, failed=()) -> str:
 )
 def test_estimates_show_their_interval_or_why_there_is_none(numbers: SeriesEstimate, text: str) -> None:
     assert over_trials(numbers) == text
-
-
-def test_terminal_tables_fit_80_columns_name_failed_trials_first_and_have_both_spreads() -> None:
-    text = shown(failed=[FAILED])
-    assert text.lstrip().startswith("1 of 420 trials failed: coordinated-3 1 of 60.")
-    assert "failed" not in shown()
-    for part in ("9.00 ± 1.25*", "[8.50, 9.50]", "coordinated-3", "66.7 %", "90 %", "[70, 100]"):
-        assert part in text
-    assert "…" not in text
-    long = [BASELINE, *grid("a_run_with_quite_a_long_name", n=(1, 2), false_positives=(5.0, 20.0))]
-    assert max(map(len, [*text.splitlines(), *shown(long).splitlines()])) <= 80
-
-
-def test_unchanged_estimates_of_the_ego_become_one_sentence() -> None:
-    text = " ".join(shown().split())
-    assert "Not changed in any trial: ego alone." in text
-    assert "What the attack adds: ego alone" not in text
-    changed = replace(ROWS[1], estimates={**ROWS[1].estimates, StudySeries("ego", "local", "fp_iob"): estimate(0.5)})
-    assert "What the attack adds: ego alone" in shown([BASELINE, changed])
-
-
-def test_differing_means_over_trials_and_frames_are_both_shown() -> None:
-    odd = StudyRow(
-        "x", "x", {}, {StudySeries("ego", "picture", "fp_iob"): SeriesEstimate(3.0, 1.0, 2.5, 2.0, 3.0, seeds=6)}
-    )
-    assert "2.50 [2.00, 3.00]" in shown([BASELINE, odd])
-
-
-def test_markdown_has_failed_trials_first_and_as_many_cells_in_every_line_of_a_table() -> None:
-    lines = study.as_markdown(ROWS, facts(ROWS, [FAILED])).splitlines()
-    assert lines[2] == "## 1 of 420 trials failed: coordinated n=3 1 of 60"
-    assert "RunError: on \\| purpose" in lines[6]
-    assert "`mast run coordinated --seed 7`" in lines[6]
-    for line, after in pairwise(lines):
-        if after.startswith("|---"):
-            assert line.count("|") == after.count("|")
-    assert sum(line.startswith("| uncoordinated n=2 |") for line in lines) == 6
-    assert any(line.startswith("| mission my_metric |") and "7.50 [7.00, 8.00]" in line for line in lines)
-
-
-def test_csv_has_full_precision_a_column_per_parameter_and_blanks_for_unknown_values() -> None:
-    lines = list(csv.DictReader(io.StringIO(study.as_csv(ROWS, facts(ROWS)))))
-    assert len(lines) == 1 + 6 * len(ROWS[1].estimates)
-    one = next(
-        f
-        for f in lines
-        if (f["configuration"], f["estimator"], f["metric"]) == ("uncoordinated-1", "picture", "fp_iob")
-    )
-    assert (float(one["mean"]), one["n"], one["seeds"], one["seeds_left_out"]) == (3.0, "1", "20", "0")
-    assert float(one["p_holm"]) > float(one["p"])
-    cause = next(f for f in lines if f["metric"] == "fp inserted")
-    assert (cause["low"], cause["p"], cause["p_holm"]) == ("", "", "")
-    assert lines[0]["n"] == ""
-
-
-def test_latex_has_equal_cells_in_every_row_and_escapes_special_characters() -> None:
-    text = study.as_latex(ROWS, facts(ROWS))
-    paper, *scores, _ = text.split(r"\end{tabular}")
-    body = [line for line in paper.splitlines() if line.endswith(r"\\")][2:]
-    assert len(body) == 2 * 6
-    assert {line.count("&") for line in body} == {10}
-    for tabular in scores:
-        assert len({line.count("&") for line in tabular.splitlines() if line.endswith(r"\\")}) == 1
-    assert r"$9.00 \pm 1.25^{*}$" in text
-    assert not set(text) - set(map(chr, range(128)))
-
-
-def test_latex_has_booktabs_rules_and_all_metrics_of_each_estimate() -> None:
-    own = replace(ROWS[1], estimates={**ROWS[1].estimates, StudySeries("ego", "mission", "near_misses"): estimate(1.0)})
-    text = study.as_latex([BASELINE, own], facts([BASELINE, own]))
-    assert text.startswith("% needs \\usepackage{booktabs}\n")
-    tabulars = text.count(r"\begin{tabular}")
-    assert tabulars == text.count(r"\toprule") == text.count(r"\midrule") == text.count(r"\bottomrule") > 1
-    assert r"\hline" not in text
-    mission = text.partition("% ego with the picture: all metrics")[2]
-    heading = next(line for line in mission.splitlines() if line.startswith(" & FN"))
-    assert heading.startswith(" & FN & FP & TP & RMSE m & ID sw. & OSPA m & GOSPA m & complete & ")
-    assert r"near\_misses" in heading
 
 
 def test_shares_add_up_to_one_over_the_causes_that_occur() -> None:
@@ -289,14 +277,3 @@ def test_a_wide_table_has_parts_of_whole_groups_and_one_caption() -> None:
     assert ["".join(part.lines[0]) for part in parts] == ["rowABCDE", "rowFGHI", "rowJKL"]
     assert [len({*part.groups}) - 1 for part in parts] == [2, 1, 1]
     assert [part.about for part in parts] == ["", "", "all of it"]
-
-
-def test_studies_of_peers_and_radio_show_whom_attacks_deceived_and_the_load_of_the_channel() -> None:
-    deceived, busy = StudySeries("all", "pictures", "deceived.share"), StudySeries("all", "channel", "busy_ratio")
-    peers = replace(ROWS[1], estimates={**ROWS[1].estimates, deceived: estimate(0.25, 0.1)})
-    radio = replace(ROWS[2], estimates={**ROWS[2].estimates, deceived: estimate(0.3, 0.1), busy: estimate(0.6, 0.1)})
-    text = shown([BASELINE, peers, radio])
-    table = text.split("Pictures and radio channel")[1]
-    for value in ("0.25", "0.30", "0.60", "[0.50, 0.70]"):
-        assert value in table
-    assert "Pictures and radio channel" not in shown()

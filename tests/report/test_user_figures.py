@@ -85,24 +85,27 @@ def written(path: Path, text: str, after: str = "time") -> Path:
 
 
 def test_a_figure_follows_the_section_that_it_names(run_folder: Folder, tmp_path: Path) -> None:
-    folder = run_folder()
-    for after in ("scores", "nodes"):
-        file = written(tmp_path / f"figures_{after}.py", FIGURES, after)
-        page = write_report(folder, figures=[file]).read_text()
-        assert '<h2 id="blank">Blank</h2>' in page
-        assert '<figure class="natural">\n<img src="data:image/png' in page, "a small figure is not enlarged"
-        assert page.count("An empty chart of &lt;frame&gt; numbers.") == 2, "caption and alternative text, escaped"
-        headings = [part.split('"')[0] for part in page.split('<h2 id="')[1:]]
-        assert headings.index("blank") == headings.index(after) + 1
-        assert "nothing_to_show" not in page
-        assert "Unfinished" not in page
+    folder, file = run_folder(), written(tmp_path / "mine.py", FIGURES, "nodes")
+    done = CliRunner().invoke(app, ["report", str(folder), "--figures", str(file)])
+    assert done.exit_code == 0, done.output
+    page = (folder / "report.html").read_text()
+    assert '<h2 id="blank">Blank</h2>' in page
+    assert '<figure class="natural">\n<img src="data:image/png' in page, "a small figure is not enlarged"
+    assert page.count("An empty chart of &lt;frame&gt; numbers.") == 2, "caption and alternative text, escaped"
+    headings = [part.split('"')[0] for part in page.split('<h2 id="')[1:]]
+    assert headings.index("blank") == headings.index("nodes") + 1
+    assert "nothing_to_show" not in page
+    assert "Unfinished" not in page
+    with pytest.raises(ConfigurationError, match=r"torn.py:1: "):
+        write_report(folder, figures=[written(tmp_path / "torn.py", "1 / 0\n")])
 
 
 def test_figures_of_a_loaded_scenario_are_drawn(run_folder: Folder, tmp_path: Path) -> None:
     file = written(tmp_path / "mine.py", FIGURES)
     loading.module(file)
     page = write_report(run_folder(scenario={"modules": [str(file)]}), frame=7).read_text()
-    assert 'id="blank"' in page
+    headings = [part.split('"')[0] for part in page.split('<h2 id="')[1:]]
+    assert headings.index("blank") == headings.index("time") + 1
 
 
 def test_a_file_that_a_run_folder_names_is_not_run(run_folder: Folder, tmp_path: Path) -> None:
@@ -174,15 +177,6 @@ class Nameless(RunFigure):
     assert "\u221277" not in page, "with a minus sign"
     assert "Leaver could not be drawn: SystemExit: 3" in page
     assert "Nameless could not be drawn: ValueError" in page
-
-
-def test_the_command_adds_the_figures_of_a_file(run_folder: Folder, tmp_path: Path) -> None:
-    folder, file = run_folder(), written(tmp_path / "mine.py", FIGURES)
-    done = CliRunner().invoke(app, ["report", str(folder), "--figures", str(file)])
-    assert done.exit_code == 0, done.output
-    assert 'id="blank"' in (folder / "report.html").read_text()
-    with pytest.raises(ConfigurationError, match=r"torn.py:1: "):
-        write_report(folder, figures=[written(tmp_path / "torn.py", "1 / 0\n")])
 
 
 def test_the_built_in_figures_use_the_same_base_class(run_folder: Folder) -> None:
