@@ -65,23 +65,6 @@ def test_a_missing_file_is_refused_with_the_nearest_name(name: str, reason: str)
         loading.function("scenarios", name, "scenario")
 
 
-def test_a_file_that_imports_a_shipped_scenario_by_name_is_told_how_to_load_it(tmp_path: Path) -> None:
-    file = write(tmp_path, "mine.py", "\nfrom baseline import scenario as base\n")
-    advice = r'mine.py:2: no module .baseline.: .*`from mast_zenoh.scenario import load`.*load\("baseline"\)'
-    with pytest.raises(ConfigurationError, match=advice):
-        loading.module(file)
-
-
-@pytest.mark.parametrize(("name", "nearest"), [("baselin", "baseline"), ("my_scen", "my_scene")])
-def test_an_import_of_a_missing_module_is_refused_with_the_nearest_name(
-    tmp_path: Path, name: str, nearest: str
-) -> None:
-    write(tmp_path, "my_scene.py", "x = 1\n")
-    file = write(tmp_path, "mine.py", f"import {name}\n")
-    with pytest.raises(ConfigurationError, match=f"mine.py:1: no module '{name}': .*did you mean '{nearest}'"):
-        loading.module(file)
-
-
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -99,10 +82,23 @@ def test_an_error_in_a_file_is_reported_with_file_and_line(tmp_path: Path, text:
         loading.function("scenarios", str(file), "scenario")
 
 
-def test_a_file_that_is_not_python_is_refused(tmp_path: Path) -> None:
-    file = write(tmp_path, "scenario.txt", "hello\n")
-    with pytest.raises(ConfigurationError, match=r"scenario\.txt: not a Python file"):
-        loading.function("scenarios", str(file), "scenario")
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        ("scenario.txt", "hello\n", r"scenario\.txt: not a Python file"),
+        (
+            "mine.py",
+            "\nfrom baseline import scenario as base\n",
+            r'mine.py:2: no module .baseline.: .*`from mast_zenoh.scenario import load`.*load\("baseline"\)',
+        ),
+        ("mine.py", "import baselin\n", "mine.py:1: no module 'baselin': .*did you mean 'baseline'"),
+        ("mine.py", "import my_scen\n", "mine.py:1: no module 'my_scen': .*did you mean 'my_scene'"),
+    ],
+)
+def test_what_cannot_be_imported_is_refused_with_what_to_do(tmp_path: Path, name: str, text: str, reason: str) -> None:
+    write(tmp_path, "my_scene.py", "x = 1\n")
+    with pytest.raises(ConfigurationError, match=reason):
+        loading.function("scenarios", str(write(tmp_path, name, text)), "scenario")
 
 
 def test_a_file_imports_the_module_next_to_it_not_a_namesake_elsewhere(
@@ -178,23 +174,18 @@ def test_an_algorithm_in_a_neighbouring_file_is_recognised_among_modules_without
 # -- nodes ---------------------------------------------------------------------------------------------------------
 
 
-def test_the_only_node_in_a_file_needs_no_name(tmp_path: Path) -> None:
-    file = write(tmp_path, "mine.py", NODE.format(name="Mine", role="link"))
-    assert loading.node_class(file).__name__ == "Mine"
-    assert loading.node_class(file, "Mine") is loading.node_class(file, "Mine"), "the same class"
-
-
-def test_a_file_with_several_nodes_needs_a_type(tmp_path: Path) -> None:
-    file = write(tmp_path, "two.py", NODE.format(name="One", role="link") + NODE.format(name="Two", role="link"))
+def test_the_only_node_that_a_file_defines_needs_no_name_and_one_of_several_does(tmp_path: Path) -> None:
+    file = write(tmp_path, "base_node.py", NODE.format(name="Base", role="link"))
+    assert loading.node_class(file).__name__ == "Base"
+    assert loading.node_class(file, "Base") is loading.node_class(file, "Base"), "the same class"
+    mine = write(tmp_path, "mine.py", "from base_node import Base\n\nclass Mine(Base):\n    pass\n")
+    assert loading.node_class(mine).__name__ == "Mine", "an imported node does not count"
+    two = write(tmp_path, "two.py", NODE.format(name="One", role="link") + NODE.format(name="Two", role="link"))
     with pytest.raises(NodeFileError, match=r"two\.py: defines 2 nodes \(One, Two\): expected type=… to select one"):
-        loading.node_class(file)
-    assert loading.node_class(file, "Two").__name__ == "Two"
-
-
-def test_an_imported_node_does_not_count_as_defined_in_the_file(tmp_path: Path) -> None:
-    write(tmp_path, "base_node.py", NODE.format(name="Base", role="link"))
-    text = "from base_node import Base\n\nclass Mine(Base):\n    pass\n"
-    assert loading.node_class(write(tmp_path, "mine.py", text)).__name__ == "Mine"
+        loading.node_class(two)
+    assert loading.node_class(two, "Two").__name__ == "Two"
+    write(tmp_path, "base_node.py", NODE.format(name="Base", role="counting"))
+    assert loading.node_class(file).role == "counting", "the file has changed"
 
 
 @pytest.mark.parametrize(
@@ -222,14 +213,6 @@ def test_a_changed_file_and_files_that_import_it_are_loaded_again(tmp_path: Path
     assert loading.function("scenarios", str(file), "scenario")[1]() == {"value": 22}
     write(tmp_path, "mine.py", "def scenario():\n    return dict(value=333)\n")
     assert loading.function("scenarios", str(file), "scenario")[1]() == {"value": 333}
-
-
-def test_a_node_whose_file_changed_is_the_new_version(tmp_path: Path) -> None:
-    file = write(tmp_path, "counter.py", NODE.format(name="Counter", role="counter"))
-    first = loading.node_class(file)
-    assert loading.node_class(file) is first
-    write(tmp_path, "counter.py", NODE.format(name="Counter", role="counting"))
-    assert loading.node_class(file).role == "counting"
 
 
 CONVOY = """

@@ -7,11 +7,11 @@ import json
 import re
 from collections.abc import Callable
 from copy import deepcopy
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from kept_texts import assert_kept
 from rich.console import Console
 from run_samples import edit
 
@@ -181,9 +181,6 @@ def test_findings_on_one_run(
     assert len(said(run, findings(run))) == len(findings(run)), "each kind has a phrase"
 
 
-WORDS = Path(__file__).parent / "words"
-
-
 @pytest.mark.parametrize("name", ["attacked", "compared", "failed", "unattacked"])
 def test_the_words_of_a_page_and_of_the_terminal(name: str, run_of: RunOf) -> None:
     run = run_of("" if name == "unattacked" else "uncoordinated")
@@ -193,9 +190,7 @@ def test_the_words_of_a_page_and_of_the_terminal(name: str, run_of: RunOf) -> No
     console = Console(file=io.StringIO(), width=1000)
     terminal.show_loaded(console, run, reference)
     page = [headline(run, reference), text(run, details(run, reference)), text(run, attacks(run))]
-    words = "\n".join([*page, "", *map(str.rstrip, console.file.getvalue().splitlines()), ""])
-    file = WORDS / f"{name}.txt"
-    assert words == file.read_text("utf-8")
+    assert_kept(f"run_{name}", *page, "", console.file.getvalue())
 
 
 def test_sentences_give_the_numbers_of_the_table(run_of: RunOf) -> None:

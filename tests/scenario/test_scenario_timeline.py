@@ -86,9 +86,6 @@ def test_the_longest_matching_pattern_selects_the_links_of_an_agent() -> None:
     assert rules["ego"]["rules_down"] == []
     assert [rule["type"] for rule in rules["infra_1"]["rules_down"]] == ["Bandwidth", "Delay", "Loss"]
     assert rules["infra_2"]["rules_up"] == []
-
-
-def test_an_agent_without_a_matching_pattern_has_no_link() -> None:
     assert list(links(world(links={"infra_*": "wired", "mobile_*": "wireless_v2x"}))) == [
         "link_infra_1",
         "link_infra_2",
@@ -115,12 +112,9 @@ def test_a_rewrite_named_by_the_scenario_keeps_its_position() -> None:
         scenario["keyexpr"]["rewrites"] = ["network.toml"]
 
     assert tiny(edit=own).wiring == world(faults=[PARTITION]).wiring
-
-
-def test_adversaries_come_before_links() -> None:
     scenario = world("coordinated", *ATTACKED, faults=[PARTITION])
     (tracks,) = (wire for wire in Wiring.from_json(scenario.wiring).wires if wire.key == "agent/infra_1/tracks")
-    assert tracks.interposers == ("adversary_1", "link_infra_1")
+    assert tracks.interposers == ("adversary_1", "link_infra_1"), "adversaries come before links"
 
 
 # -- the timeline ----------------------------------------------------------------------------------------------------
@@ -130,6 +124,9 @@ def test_attacks_faults_and_links_are_on_one_timeline() -> None:
     kill = dict(type="Kill", at=0.7, node="infra_2", restart_after=0.2)
     scenario = world("uncoordinated", *ATTACKED, links={"infra_*": "wired"}, faults=[kill, PARTITION])
     entries = [(b["kind"], b["type"], b["at_s"], b["until_s"], b["nodes"], b["backend"]) for b in scenario.timeline]
+    again = Resolved.from_json(json.loads(json.dumps(scenario.to_json())), scenario.wiring)
+    assert (again.steps, again.timeline, again.network) == (scenario.steps, scenario.timeline, scenario.network)
+    assert again.nodes["link_infra_1"].config == scenario.nodes["link_infra_1"].config
     assert entries == [
         ("link", "wired", 0.0, None, ["infra_1", "infra_2"], "links"),
         ("attack", "UncoordinatedAttack", 0.2, None, ["adversary_1"], "adversary"),
@@ -155,14 +152,6 @@ def test_a_fault_after_the_end_is_reported(caplog: pytest.LogCaptureFixture) -> 
         scenario = world(faults=[dict(PARTITION, at=5.0, until=6.0)])
     assert scenario.timeline == ()
     assert "faults[0]: begins after the last frame" in caplog.text
-
-
-def test_links_faults_and_timeline_are_in_scenario_json() -> None:
-    faults = [PARTITION, dict(type="Kill", at=0.3, node="infra_2", restart_after=0.2)]
-    scenario = world(links={"*": "wired"}, faults=faults)
-    again = Resolved.from_json(json.loads(json.dumps(scenario.to_json())), scenario.wiring)
-    assert (again.steps, again.timeline, again.network) == (scenario.steps, scenario.timeline, scenario.network)
-    assert again.nodes["link_infra_1"].config == scenario.nodes["link_infra_1"].config
 
 
 def test_hosts_are_part_of_the_resolved_scenario() -> None:
@@ -272,28 +261,18 @@ def test_a_setting_gives_a_scenario_without_faults_a_list_of_them(text: str) -> 
     assert [band["label"] for band in scenario.resolve(path, content, frames=5).timeline] == ["Partition infra_1"]
 
 
-def test_a_list_of_faults_is_a_parameter_in_python_too() -> None:
-    assert load_values("baseline", {"faults": [CUT_OFF]})[1]["faults"] == [CUT_OFF]
-    assert load_values({"name": "mine"}, {"faults": [CUT_OFF]})[1]["faults"] == [CUT_OFF]
-
-
-def test_the_number_after_the_last_fault_adds_one() -> None:
-    for name, count in (("baseline", 0), ("attack_during_partition", 2)):
-        _, content = load(name, [f"faults.{count}={CUT_OFF}"])
-        assert len(content["faults"]) == count + 1
-        assert content["faults"][-1] == CUT_OFF
-
-
-def test_a_list_is_set_before_its_items_whatever_the_order_of_settings() -> None:
-    _, content = load("baseline", ["faults.0.at=0.4", f"faults=[{CUT_OFF}]"])
-    assert content["faults"] == [CUT_OFF | {"at": 0.4}]
-
-
-def test_a_parameter_of_the_scenario_that_is_called_faults_stays_one() -> None:
+def test_a_list_of_faults_is_a_parameter_in_python_too_and_its_items_are_set_or_added() -> None:
     def mine(faults: int = 2) -> dict[str, object]:
         return {"faults": [CUT_OFF] * faults}
 
-    assert load_values(mine, {"faults": 1})[1]["faults"] == [CUT_OFF]
+    for base, value in (("baseline", [CUT_OFF]), ({"name": "mine"}, [CUT_OFF]), (mine, 1)):
+        assert load_values(base, {"faults": value})[1]["faults"] == [CUT_OFF]
+    for name, count in (("baseline", 0), ("attack_during_partition", 2)):
+        _, content = load(name, [f"faults.{count}={CUT_OFF}"])
+        assert len(content["faults"]) == count + 1, "the number after the last one adds one"
+        assert content["faults"][-1] == CUT_OFF
+    _, content = load("baseline", ["faults.0.at=0.4", f"faults=[{CUT_OFF}]"])
+    assert content["faults"] == [CUT_OFF | {"at": 0.4}], "whatever the order of settings"
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,11 @@ from pathlib import Path
 
 from rich.console import Console, RenderableType
 
-WORDS = Path(__file__).parent / "words"
+WORDS = Path(__file__).parents[1] / "words"
 
 
 def assert_kept(name: str, *texts: str) -> None:
-    """Assert that texts are those of words/NAME.txt. MAST_KEEP_TEXTS=1 writes that file instead, for a review."""
+    """Assert that texts are those of tests/words/NAME.txt. MAST_KEEP_TEXTS=1 writes that file instead, for a review."""
     text = "\n".join([*map(str.rstrip, "\n".join(texts).splitlines()), ""])
     if os.environ.get("MAST_KEEP_TEXTS"):
         (WORDS / f"{name}.txt").write_text(text, "utf-8")
