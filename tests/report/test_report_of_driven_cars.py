@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from kept_texts import assert_kept
 from matplotlib.figure import Figure
 from run_samples import FRAMES
 
@@ -107,78 +108,56 @@ def test_findings_name_the_moment_the_object_and_the_adversary_of_a_brake(both: 
     assert of_cars(run, twin) == []
 
 
-def test_collisions_are_named_first(both: tuple[Run, Reference]) -> None:
+HIT = {"object": 9, "frame": 33, "speed_mps": 2.34, "hidden": True}
+SEEN = happened(progress_m=50.0, collisions=[HIT | {"hidden": False}])
+MANY = {f"mobile_{number}": happened(progress_m=100.0) for number in range(1, 18)}
+KINDS = [
+    *(("real", None, False), ("real", "liar", True), ("false", None, True), ("line", None, False)),
+    *(
+        ("no command", None, True),
+        ("no command", "seizer", True),
+        ("no estimate", None, True),
+        ("none", "seizer", True),
+    ),
+    *(("unknown", None, True), ("none", None, True), ("none", None, False)),
+]
+
+
+def caused(kind: str, adversary: str | None, needless: bool) -> dict[str, Any]:
+    return brake({"object": 28, "kind": kind, "adversary": adversary}, needless)
+
+
+def in_order() -> list[dict[str, Any]]:
+    """Brakes for ghosts and for what is there, the hardest first."""
+    kinds = [
+        ("false", "adversary_1"),
+        ("real", None),
+        ("real", "liar"),
+        *[("false", "adversary_1")] * 4,
+        ("none", None),
+    ]
+    needless = [number in (3, 4, 5, 7) for number in range(8)]
+    return [
+        caused(*kind, need) | {"hardest_mps2": 9.0 - number, "from_s": 2.0 + number}
+        for number, (kind, need) in enumerate(zip(kinds, needless, strict=True))
+    ]
+
+
+CARS: dict[str, dict[str, Any]] = {
+    "a collision": {"ego": happened(collisions=[HIT], missed_brakes=2)},
+    "many cars": MANY | {"mobile_9": SEEN, "ego": happened()},
+    "several that hit something": MANY | dict.fromkeys(("mobile_1", "mobile_2", "mobile_3", "mobile_9"), SEEN),
+    "brakes for ghosts though the truth gave a reason too": {"ego": happened(brakes=in_order(), needless_brakes=4)},
+}
+
+
+def test_what_happened_to_cars_is_told_collisions_first(both: tuple[Run, Reference]) -> None:
     run, twin = both
-    hit = {"object": 9, "frame": 33, "speed_mps": 2.34, "hidden": True}
-    run.files.summary["driven"] = {"ego": happened(collisions=[hit], missed_brakes=2)}
-    assert told(run, twin) == [
-        "The ego hits object 9 at 3.3 s (2.3 m/s between them, hidden from its driver)",
-        "The ego fails to brake in an emergency 2 times (unattacked: 0)",
-        "The ego drives 93 m (unattacked: 93 m)",
-    ]
-
-
-def test_of_many_cars_the_ego_and_those_that_hit_something_are_described(both: tuple[Run, Reference]) -> None:
-    run, _ = both
-    hit = {"object": 9, "frame": 33, "speed_mps": 2.34, "hidden": False}
-    cars = {f"mobile_{number}": happened(progress_m=100.0) for number in range(1, 18)}
-    cars["mobile_9"] = happened(progress_m=50.0, collisions=[hit])
-    run.files.summary["driven"] = cars | {"ego": happened()}
-    assert told(run) == [
-        "The ego drives 93 m",
-        "mobile_9 hits object 9 at 3.3 s (2.3 m/s between them)",
-        "mobile_9 drives 50 m",
-    ]
-    for number in (1, 2, 3):
-        cars[f"mobile_{number}"] = cars["mobile_9"]
-    run.files.summary["driven"] = cars
-    assert {each.who for each in of_cars(run)} == {("mobile_1",), ("mobile_2",), ("mobile_3",)}
-
-
-@pytest.mark.parametrize(
-    ("kind", "adversary", "needless", "words"),
-    [
-        ("real", None, False, "for object 28"),
-        ("real", "liar", True, "for object 28, changed by liar"),
-        ("false", None, True, "for an object that is not there (track 28)"),
-        ("line", None, False, "before a line"),
-        ("no command", None, True, "because it had no command"),
-        ("no command", "seizer", True, "because it had no command, withheld by seizer"),
-        ("no estimate", None, True, "because it had no estimate"),
-        ("none", "seizer", True, "because seizer changed its commands"),
-        ("unknown", None, True, "for an unknown reason: the replay leaves out what its driver received"),
-        ("none", None, True, "for no reason that an intelligent driver model sees"),
-        ("none", None, False, "for the road ahead or another reason"),
-    ],
-)
-def test_every_kind_of_cause_has_words(kind: str, adversary: str | None, needless: bool, words: str) -> None:
-    assert reason_of(brake({"object": 28, "kind": kind, "adversary": adversary}, needless)) == words
-
-
-def test_the_hardest_brakes_of_adversaries_are_named_though_the_truth_gave_a_reason_too(
-    both: tuple[Run, Reference],
-) -> None:
-    run, _ = both
-    moved = {"object": 7, "kind": "real", "adversary": "liar"}
-    real = {"object": 7, "kind": "real", "adversary": None}
-    none = {"object": None, "kind": "none", "adversary": None}
-    causes = [
-        (GHOST, False),
-        (real, False),
-        (moved, False),
-        (GHOST, True),
-        (GHOST, True),
-        (GHOST, True),
-        (GHOST, False),
-    ]
-    brakes = [
-        brake(cause, needless) | {"hardest_mps2": 9.0 - number, "from_s": 2.0 + number}
-        for number, (cause, needless) in enumerate([*causes, (none, True)])
-    ]
-    run.files.summary["driven"] = {"ego": happened(brakes=brakes, needless_brakes=4)}
-    brakes = [each for each in of_cars(run) if each.kind == "brake"]
-    assert [(each.what, each.value) for each in brakes] == [("", 9.0), ("", 7.0), ("needless", 6.0)]
-    assert [each.value for each in of_cars(run) if each.what == "more"] == [4], "the time axis has all"
+    lines = [f"{kind} by {by}, {needless}: {reason_of(caused(kind, by, needless))}" for kind, by, needless in KINDS]
+    for name, cars in CARS.items():
+        run.files.summary["driven"] = cars
+        lines += [f"{name}:", *told(run, twin if len(cars) == 1 else None), ""]
+    assert_kept("cars", *lines)
 
 
 def test_the_table_has_a_line_for_the_run_and_one_for_its_twin(both: tuple[Run, Reference]) -> None:

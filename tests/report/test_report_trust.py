@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib.image
 import numpy as np
 import pytest
+from kept_texts import assert_kept
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 from rich.console import Console
@@ -211,30 +212,22 @@ def last_line(folder: Path, defence: str, integrity: dict[str, Any]) -> str:
     return page.getvalue().splitlines()[-1]
 
 
+NOTHING = {"agents": {"ego": of_agent()}, "withheld": {"true": 0.0, "false": 0.0}}
+EARLY = of_agent(lied=True, first_lie_s=1.5, suspensions=[suspension(0.0, None, "honest")])
+CORRECTED = of_agent(seconds={"honest": {"trusted": 3.0, "faulty": 1.25}, "faulty": {"faulty": 2.0}})
+ALARM = of_agent(suspensions=[suspension(1.0, None, "honest")])
+DEFENCES: list[tuple[str, dict[str, Any]]] = [
+    ("FreeSpace", {}),
+    ("Robosac", {"agents": {"infra_1": EARLY}}),
+    ("FreeSpace", NOTHING),
+    ("FaultOrLie", NOTHING | {"agents": {"ego": CORRECTED, "infra_1": of_agent()}}),
+    ("KOfN", {"agents": {f"infra_{number}": ALARM for number in range(15)}}),
+    ("NoIntegrity", {}),
+]
+
+
 def test_the_last_line_says_which_agents_the_defence_suspended_when_and_what_it_withheld(folder: Path) -> None:
-    withheld = "withheld 1.50 false and 0.25 true objects a frame."
-    assert last_line(folder, "FreeSpace", INTEGRITY) == (
-        "FreeSpace: suspended infra_1 0.5 s after its first lie; suspended infra_2 while honest; did not suspend "
-        f"infra_3 (2.4 s) from the first lie on; {withheld}"
-    )
-    before = of_agent(lied=True, first_lie_s=1.5, suspensions=[suspension(0.0, None, "honest")])
-    early = last_line(folder, "Robosac", INTEGRITY | {"agents": {"infra_1": before}})
-    assert early == f"Robosac: suspended infra_1 before lying; {withheld}"
-    nothing = {"agents": {"ego": of_agent()}, "withheld": {"true": 0.0, "false": 0.0}}
-    assert last_line(folder, "FreeSpace", INTEGRITY | nothing) == (
-        "FreeSpace: suspended no agent; withheld 0.00 false and 0.00 true objects a frame."
-    )
-    honest = {"honest": {"trusted": 3.0, "faulty": 1.25}, "faulty": {"faulty": 2.0}}
-    corrected = nothing | {"agents": {"ego": of_agent(seconds=honest), "infra_1": of_agent()}}
-    line = last_line(folder, "FaultOrLie", INTEGRITY | corrected)
-    assert "suspended no agent; corrected ego (1.2 s) without a fault; withheld 0.00" in line
-    alarm = of_agent(suspensions=[suspension(1.0, None, "honest")])
-    many = last_line(folder, "KOfN", INTEGRITY | {"agents": {f"infra_{number}": alarm for number in range(15)}})
-    assert many.startswith("KOfN: suspended infra_0, infra_1, ")
-    assert "infra_7 and 7 more while honest; withheld" in many
-    none = last_line(folder, "NoIntegrity", INTEGRITY)
-    assert "NoIntegrity" not in none
-    assert "withheld" not in none
+    assert_kept("defence_of_a_run", *(last_line(folder, name, INTEGRITY | changes) for name, changes in DEFENCES))
 
 
 def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:

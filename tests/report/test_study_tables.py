@@ -135,75 +135,56 @@ def test_comparisons_outside_the_tables_are_counted_separately() -> None:
     assert comparisons.remaining() == 3
 
 
-def test_result_is_the_largest_significant_change_of_what_the_ego_acts_on() -> None:
-    text = result(ROWS, facts(ROWS), compare(ROWS, "baseline"))
-    assert text == (
-        "The clearest change: in uncoordinated-3 the ego with the "
-        "picture has 9.00 more false objects a frame [8.50, 9.50] than the baseline."
-    )
-    fewer = [BASELINE, row("a", {}, -2.0)]
-    assert "2.00 fewer false objects a frame [1.50, 2.50]" in result(fewer, facts(fewer), compare(fewer, "baseline"))
-
-
-@pytest.mark.parametrize(
-    ("estimates", "text"),
-    [
-        (estimate(0.1, 0.5, p=0.6), "in any estimate of the ego distinguishably, in 1 comparison"),
-        (
-            SeriesEstimate(4.0, 1.0, 4.0, seeds=3),
-            "in the picture, too few seeds for an interval: in a the picture has 4.00 more false",
-        ),
-        (
-            SeriesEstimate(0.0, 0.0, 0.0, zero_share=1.0, seeds=20),
-            "No configuration changes false or missed objects in any estimate of the ego, in any trial",
-        ),
-        (None, "No trial has results for its baseline"),
-    ],
-)
-def test_result_without_a_significant_change_is_stated(estimates: SeriesEstimate | None, text: str) -> None:
-    assert text in words(**({"fp_iob": estimates} if estimates else {}))[0]
-
-
-def words(**increments: SeriesEstimate) -> tuple[str, list[str]]:
-    """The result and other changes of a study in which `a` changes the picture."""
-    known = {StudySeries("ego", "picture", name): each for name, each in increments.items()}
-    rows = [BASELINE, StudyRow("a", "a", {}, known)]
+def words(rows: list[StudyRow], idle: IdleAttack | None = None) -> list[str]:
+    """The result, other changes and reservations of a study."""
+    known = replace(facts(rows), idle=() if idle is None else (idle,))
     comparisons = compare(rows, "baseline")
-    return result(rows, facts(rows), comparisons), other_changes(rows, facts(rows), comparisons)
+    others = [f"  {each}" for each in other_changes(rows, known, comparisons)]
+    return [result(rows, known, comparisons), *others, *(f"  ! {each}" for each in reservations(rows, known))]
 
 
+def picture(**increments: SeriesEstimate) -> list[StudyRow]:
+    """A study in which `a` changes the picture."""
+    return [
+        BASELINE,
+        StudyRow("a", "a", {}, {StudySeries("ego", "picture", n): each for n, each in increments.items()}),
+    ]
+
+
+NOTHING, TINY = estimate(0.0, p=0.9), estimate(0.0006, 0.0002)
 SAME = SeriesEstimate(0.57, 0.5, 0.57, scenes=1, seeds=5)
+EQUAL = SeriesEstimate(0.0, 0.0, 0.0, zero_share=1.0, scenes=1, seeds=5)
+WHOLE = replace(estimate(1.0), seeds=18, left_out=2)
+RMSE, SWITCHES = estimate(0.2, 0.1, p=1e-4), estimate(0.1, 0.05, p=1e-5)
+LATE = IdleAttack("uncoordinated-1", 4.0, 3.8)
+OF_STUDIES: dict[str, tuple[list[StudyRow], IdleAttack | None]] = {
+    "more false objects": (ROWS, None),
+    "fewer false objects": ([BASELINE, row("a", {}, -2.0)], None),
+    "no clear change": (picture(fp_iob=estimate(0.1, 0.5, p=0.6)), None),
+    "too few seeds": (picture(fp_iob=SeriesEstimate(4.0, 1.0, 4.0, seeds=3)), None),
+    "no change in any trial": (picture(fp_iob=replace(EQUAL, seeds=20)), None),
+    "no results": (picture(), None),
+    "equal in all seeds": (picture(fn_iob=SAME, fp_iob=NOTHING, rmse_m_iob=TINY), None),
+    "identity switches": (picture(fp_iob=NOTHING, id_switches_iob=SWITCHES, rmse_m_iob=RMSE), None),
+    "lengths": (picture(fp_iob=NOTHING, length_error_m_iob=estimate(1.8, 0.1, p=1e-9), rmse_m_iob=RMSE), None),
+    "RMSE": (picture(fp_iob=NOTHING, rmse_m_iob=RMSE), None),
+    "RMSE below one centimetre": (picture(fp_iob=NOTHING, rmse_m_iob=TINY), None),
+    "distinguishable alone": (picture(fp_iob=NOTHING, length_error_m_iob=estimate(0.4, 0.2, p=0.03)), None),
+    "equal values": (picture(fp_iob=estimate(2.0), fn_iob=NOTHING, id_switches_iob=EQUAL), None),
+    "equal values of few seeds": (picture(fp_iob=estimate(2.0), id_switches_iob=replace(EQUAL, seeds=4)), None),
+    "seeds left out of all": (picture(fp=WHOLE), None),
+    "seeds left out of RMSE": (picture(fp=estimate(1.0), rmse_m=WHOLE), None),
+    "an attack that never began": ([BASELINE, ROWS[1]], LATE),
+    "one of several attacks never began": (ROWS, LATE),
+    "never began in one scene": ([BASELINE, ROWS[1]], replace(LATE, scenes=("short:0",))),
+}
 
 
-def test_equal_difference_in_all_seeds_is_certain_and_precedes_rmse() -> None:
-    headline, others = words(fn_iob=SAME, fp_iob=estimate(0.0, p=0.9), rmse_m_iob=estimate(0.0006, 0.0002))
-    assert headline == (
-        "The clearest change: in a the picture has 0.57 more missed objects a "
-        "frame than the baseline, "
-        "in all 5 seeds; no spread, so no interval."
-    )
-    assert "Not distinguishable from the baseline: false objects." in others
-    assert not any("missed objects" in sentence for sentence in others)
-
-
-def test_headline_is_the_clearest_of_all_changes_and_ignores_rmse_below_one_centimetre() -> None:
-    rmse, switches, nothing = estimate(0.2, 0.1, p=1e-4), estimate(0.1, 0.05, p=1e-5), estimate(0.0, p=0.9)
-    assert "0.10 more identity switches" in words(fp_iob=nothing, id_switches_iob=switches, rmse_m_iob=rmse)[0]
-    shrunk = estimate(1.8, 0.1, p=1e-9)
-    assert "1.80 m more error in the lengths" in words(fp_iob=nothing, length_error_m_iob=shrunk, rmse_m_iob=rmse)[0]
-    assert "0.20 m more RMSE" in words(fp_iob=nothing, rmse_m_iob=rmse)[0]
-    headline, others = words(fp_iob=nothing, rmse_m_iob=estimate(0.0006, 0.0002))
-    assert headline.startswith(
-        "No configuration changes false or missed objects in any estimate of the ego distinguishably"
-    )
-    assert any(sentence.startswith("RMSE: in a the picture has 0.0006 m more") for sentence in others)
-
-
-def test_a_change_that_is_distinguishable_alone_is_not_said_to_be_indistinct() -> None:
-    _, others = words(fp_iob=estimate(0.0, p=0.9), length_error_m_iob=estimate(0.4, 0.2, p=0.03))
-    text = "Distinguishable from the baseline if read alone, not if all 2 comparisons are read together: lengths."
-    assert text in others
-    assert "Not distinguishable from the baseline: false objects." in others
+def test_the_result_of_a_study_is_its_clearest_change_or_why_there_is_none() -> None:
+    lines = [line for name, case in OF_STUDIES.items() for line in (f"{name}:", *words(*case), "")]
+    assert_kept("results_of_studies", *lines)
+    markdown = study.as_markdown(ROWS, replace(facts(ROWS), idle=(LATE,)))
+    assert "The attack of uncoordinated n=1 never began" in markdown.split("##")[0]
 
 
 def test_the_headline_never_denies_a_change_that_remains_after_holm() -> None:
@@ -228,45 +209,6 @@ def test_the_headline_never_denies_a_change_that_remains_after_holm() -> None:
             clearest = int(p_values.argmin())
             phrase = ("false objects", "missed objects", "RMSE")[clearest % 3]
             assert re.search(rf"in a{clearest // 3} the picture has .*{phrase}", text)
-
-
-def test_equal_values_in_all_trials_are_reported_as_unchanged() -> None:
-    equal = SeriesEstimate(0.0, 0.0, 0.0, zero_share=1.0, scenes=1, seeds=5)
-    _, others = words(fp_iob=estimate(2.0), fn_iob=estimate(0.0, p=0.9), id_switches_iob=equal)
-    assert "Unchanged in all trials: identity switches." in others
-    assert "Not distinguishable from the baseline: missed objects." in others
-    _, others = words(fp_iob=estimate(2.0), id_switches_iob=replace(equal, seeds=4))
-    assert not any("identity switches" in sentence for sentence in others), "too few for a statement"
-
-
-def test_seeds_left_out_are_reported_per_affected_number() -> None:
-    whole = replace(estimate(1.0), seeds=18, left_out=2)
-    some = {StudySeries("ego", "picture", "fp"): estimate(1.0), StudySeries("ego", "picture", "rmse_m"): whole}
-    rows = [StudyRow("a", "a", {}, {StudySeries("ego", "picture", "fp"): whole}), StudyRow("b", "b", {}, some)]
-    rows.append(StudyRow("c", "c", {}, {}))
-    assert reservations(rows, facts(rows)) == [
-        "a: 2 of 20 seeds left out: a trial failed or has no such value.",
-        "b: 2 of 20 seeds left out for RMSE m (picture): a trial failed or has no such value.",
-        "c: no trial has results.",
-    ]
-
-
-def test_attacks_that_never_began_are_reported_first() -> None:
-    late = IdleAttack("uncoordinated-1", 4.0, 3.8)
-    sentences = "The attack of uncoordinated-1 never began: it begins at 4 s, and the trials end after 3.8 s."
-    alone = [BASELINE, ROWS[1]]
-    known = replace(facts(alone), idle=(late,))
-    assert result(alone, known, compare(alone, "baseline")) == sentences
-    assert other_changes(alone, known, compare(alone, "baseline")) == []
-    both = replace(facts(ROWS), idle=(late,))
-    assert result(ROWS, both, compare(ROWS, "baseline")).startswith(
-        f"{sentences} The clearest change: in uncoordinated-3 "
-    )
-    assert sentences.replace("-1", " n=1") in study.as_markdown(ROWS, both).split("##")[0]
-    part = replace(late, scenes=("short:0",))
-    text = result(alone, replace(known, idle=(part,)), compare(alone, "baseline"))
-    assert text.startswith("The attack of uncoordinated-1 never began in short:0: ")
-    assert "The clearest change" in text
 
 
 def test_a_wide_table_has_parts_of_whole_groups_and_one_caption() -> None:
