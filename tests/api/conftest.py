@@ -1,7 +1,5 @@
 """Two short runs of one junction, one attacked, for tests of the Python API."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,8 +1,7 @@
 """Everything that a scenario can name is listed with parameters and units."""
 
-from __future__ import annotations
-
 import inspect
+import pkgutil
 import re
 from pathlib import Path
 
@@ -11,18 +10,7 @@ from typer.testing import CliRunner
 
 import mast_zenoh as mast
 from mast_zenoh import (
-    attacks,
-    driving,
-    faults,
-    fusion,
-    integrity,
     links,
-    metrics,
-    pipelines,
-    scenes,
-    sensing,
-    tracking,
-    v2x,
 )
 from mast_zenoh.api.catalogue import KINDS, Entry, described, unit_of
 from mast_zenoh.cli.app import app
@@ -31,27 +19,25 @@ from mast_zenoh.faults.network import HOST_FAULTS
 from mast_zenoh.messages.schemas import BUILT_IN
 from mast_zenoh.metrics.measures import MEASURES
 
+_BASES = """
+    attacks: attacks.Attack attacks.Coordination attacks.Selection attacks.Propagation attacks.Imitation
+    trackers: pipelines.AgentPipeline tracking.Tracker tracking.Assignment
+    fusion: pipelines.MissionEstimator pipelines.Pipeline fusion.Clusterer fusion.Fusion fusion.GroupTracker
+    defences: integrity.Integrity
+    scenes: scenes.Scene sensing.Detector
+    links: links.Rule
+    faults: faults.Fault
+    metrics: metrics.Metric metrics.Assigner
+    drivers: driving.Driver driving.CarLimits
+    rules: v2x.GenerationRules
+    redundancy: v2x.RedundancyRule
+    congestion: v2x.CongestionControl
+    channel: v2x.RadioChannel v2x.OfdmTiming v2x.BackgroundStations
+    awareness: v2x.CamGeneration v2x.Vehicle
+"""
 BASES: dict[str, list[type]] = {
-    "attacks": [
-        *(attacks.Attack, attacks.Coordination),
-        *(attacks.Selection, attacks.Propagation, attacks.Imitation),
-    ],
-    "trackers": [pipelines.AgentPipeline, tracking.Tracker, tracking.Assignment],
-    "fusion": [
-        *(pipelines.MissionEstimator, pipelines.Pipeline),
-        *(fusion.Clusterer, fusion.Fusion, fusion.GroupTracker),
-    ],
-    "defences": [integrity.Integrity],
-    "scenes": [scenes.Scene, sensing.Detector],
-    "links": [links.Rule],
-    "faults": [faults.Fault],
-    "metrics": [metrics.Metric, metrics.Assigner],
-    "drivers": [driving.Driver, driving.CarLimits],
-    "rules": [v2x.GenerationRules],
-    "redundancy": [v2x.RedundancyRule],
-    "congestion": [v2x.CongestionControl],
-    "channel": [v2x.RadioChannel, v2x.OfdmTiming, v2x.BackgroundStations],
-    "awareness": [v2x.CamGeneration, v2x.Vehicle],
+    kind.strip(): [pkgutil.resolve_name(f"mast_zenoh.{name}") for name in names.split()]
+    for kind, names in (line.split(":") for line in _BASES.strip().splitlines())
 }
 
 

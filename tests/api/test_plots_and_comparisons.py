@@ -1,7 +1,5 @@
 """Plots equal the report's figures; comparisons equal its tables and sentences."""
 
-from __future__ import annotations
-
 import io
 import shutil
 from pathlib import Path
@@ -18,20 +16,25 @@ def displayed_image(figure: object) -> Image.Image:
     return Image.open(io.BytesIO(figure._repr_png_()))  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("name", ["over_time", "birdseye", "camera", "driving", "wiring"])
-def test_a_notebook_displays_the_figures_of_the_report(name: str, attacked: mast.Run, tmp_path: Path) -> None:
-    shutil.copytree(attacked.path, tmp_path / "run")
-    run = mast.open(tmp_path / "run")
-    run.report(frame=40)
-    file = {"over_time": "counts"}.get(name, name)
-    image = displayed_image(getattr(run.plot, name)(**({"frame": 40} if name in ("birdseye", "camera") else {})))
-    ours = Image.open(run.path / "figures" / f"{file}.png")
-    assert image.size == ours.size
-    if name in ("birdseye", "camera", "wiring"):  # in the other figures the report marks the frame that it shows
-        assert image.tobytes() == ours.tobytes()
+def test_a_notebook_displays_the_figures_of_the_report_which_may_compare_two_runs(
+    attacked: mast.Run, baseline: mast.Run, tmp_path: Path
+) -> None:
+    run = mast.open(shutil.copytree(attacked.path, tmp_path / "run"))
+    page = run.report(frame=40)
+    for name in ("over_time", "birdseye", "camera", "driving", "wiring"):
+        options = {"frame": 40} if name in ("birdseye", "camera") else {}
+        image = displayed_image(getattr(run.plot, name)(**options))
+        ours = Image.open(run.path / "figures" / f"{'counts' if name == 'over_time' else name}.png")
+        assert image.size == ours.size
+        if name not in ("over_time", "driving"):  # in these the report marks the frame that it shows
+            assert image.tobytes() == ours.tobytes()
+    assert run.report(frame=40, against=baseline) == page == (tmp_path / "run" / "report.html").resolve()
+    assert "compared with baseline" in page.read_text()
 
 
-def test_one_metric_of_two_runs_over_time_is_one_chart_with_two_lines(attacked: mast.Run, baseline: mast.Run) -> None:
+def test_one_metric_of_two_runs_over_time_is_one_chart_with_two_lines(
+    attacked: mast.Run, baseline: mast.Run, tmp_path: Path
+) -> None:
     figure = attacked.plot.over_time("fp", baseline)
     (axes,) = figure.axes
     assert "false objects" in axes.get_ylabel()
@@ -39,11 +42,12 @@ def test_one_metric_of_two_runs_over_time_is_one_chart_with_two_lines(attacked: 
     assert {"attack", "ego alone", "picture, uncoordinated", "picture, baseline"} == set(legend)
     lines = {line.get_label(): line.get_ydata() for line in axes.get_lines()}
     assert lines["picture, uncoordinated"].max() > lines["picture, baseline"].max()
-
-
-@pytest.mark.parametrize("metric", ["fn", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"])
-def test_every_column_can_be_plotted(metric: str, attacked: mast.Run) -> None:
-    assert len(attacked.plot.over_time(metric).axes) == 1
+    for metric in ("fn", "tp", "rmse_m", "id_switches", "ospa_m", "gospa_m"):
+        assert len(attacked.plot.over_time(metric).axes) == 1
+    shutil.copytree(attacked.path, tmp_path / "again")
+    figure = attacked.plot.over_time("fp", mast.open(tmp_path / "again"))
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert {"picture, uncoordinated", "picture, again"} <= set(legend), "of equal names, the folder tells them apart"
 
 
 def test_unknown_or_empty_series_are_refused(attacked: mast.Run) -> None:
@@ -55,13 +59,6 @@ def test_unknown_or_empty_series_are_refused(attacked: mast.Run) -> None:
         attacked.plot.birdseye(frame=99)
     with pytest.raises(RunFolderError, match="runs with links or faults"):
         attacked.plot.causes()
-
-
-def test_runs_with_equal_names_have_distinct_labels(attacked: mast.Run, tmp_path: Path) -> None:
-    shutil.copytree(attacked.path, tmp_path / "again")
-    figure = attacked.plot.over_time("fp", mast.open(tmp_path / "again"))
-    legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert {"picture, uncoordinated", "picture, again"} <= set(legend)
 
 
 def test_a_comparison_lists_the_scores_and_differences_of_both_runs(attacked: mast.Run, baseline: mast.Run) -> None:

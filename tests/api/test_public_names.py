@@ -1,7 +1,5 @@
 """The public names are pinned: changing them is a decision (docs/stability.md)."""
 
-from __future__ import annotations
-
 import inspect
 import pkgutil
 import subprocess

@@ -1,7 +1,5 @@
 """`mast.run` accepts the command line's scenarios and plain Python values."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -45,18 +43,14 @@ def test_a_name_a_file_a_function_and_a_dict_are_the_same_scenario(tmp_path: Pat
         assert difference.first is None
 
 
-def test_a_dict_is_not_changed_by_being_run(tmp_path: Path) -> None:
-    _, content = load("uncoordinated", ["n_infrastructure=1", "n_adversaries=1"])
+def test_a_dotted_keyword_sets_a_value_of_the_run_and_not_of_the_dict(tmp_path: Path) -> None:
+    _, content = load("baseline", ["n_infrastructure=1"])
     before = json.dumps(content, sort_keys=True)
-    mast.run(content, frames=2, out=tmp_path / "run", **{"run.seed": 5})
-    assert json.dumps(content, sort_keys=True) == before
-
-
-def test_a_dotted_keyword_sets_a_value_in_the_scenario(tmp_path: Path) -> None:
-    radius = {"command_center.pipeline.clustering": dict(type="DBSCANClusterer", eps=3.0)}
-    run = mast.run("baseline", frames=2, out=tmp_path / "run", **SMALL, **radius)
+    clustering = dict(type="DBSCANClusterer", eps=3.0)
+    run = mast.run(content, frames=2, out=tmp_path / "run", **{"command_center.pipeline.clustering": clustering})
     center = json.loads((run.path / "scenario.json").read_text())["nodes"]["command_center"]
-    assert center["config"]["pipeline"]["clustering"] == {"type": "DBSCANClusterer", "eps": 3.0}
+    assert center["config"]["pipeline"]["clustering"] == clustering
+    assert json.dumps(content, sort_keys=True) == before
 
 
 @pytest.mark.parametrize(
@@ -91,6 +85,8 @@ def test_a_failed_run_raises_an_error_that_names_the_folder(failing_scenario: Pa
     assert str(tmp_path / "run") in failed.value.__notes__[0]
     assert "allow_failures=True" in failed.value.__notes__[0]
     assert mast.open(tmp_path / "run").status == "handler_failures"
+    with pytest.raises(RunFolderError, match=r"no run\.json there"):
+        mast.open(tmp_path)
     allowed = mast.run(failing_scenario, frames=2, out=tmp_path / "allowed", allow_failures=True)
     assert allowed.status == "ok"
 
@@ -109,8 +105,3 @@ def test_the_same_scenario_runs_as_processes(attacked: mast.Run, tmp_path: Path)
     run = mast.run("uncoordinated", frames=60, seed=3, runtime="mesh", out=tmp_path / "run", **parameters)
     assert len({node["pid"] for node in run.record["nodes"].values()}) > 5
     assert compare(attacked.path, run.path).first is None
-
-
-def test_a_folder_without_a_run_cannot_be_opened(tmp_path: Path) -> None:
-    with pytest.raises(RunFolderError, match=r"no run\.json there"):
-        mast.open(tmp_path)

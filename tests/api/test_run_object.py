@@ -1,7 +1,5 @@
 """A run object gives access to its folder, during the run and afterwards."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -26,10 +24,28 @@ def test_a_table_equals_its_file(name: str, attacked: mast.Run) -> None:
     assert table.num_rows
 
 
-def test_tables_become_data_frames_where_pandas_is_installed(attacked: mast.Run) -> None:
+def test_columns_have_units_and_tables_become_data_frames_where_pandas_is_installed(attacked: mast.Run) -> None:
+    schema = attacked.picture.schema
+    units = {name: (schema.field(name).metadata or {}).get(b"unit", b"").decode() for name in schema.names}
+    names = ("time_s", "x", "l", "vx", "yaw", "id", "score")
+    assert [units[name] for name in names] == ["s", "m", "m", "m/s", "rad", "", ""]
     pytest.importorskip("pandas")
     frame = attacked.metrics.to_pandas()
     assert (frame[frame.estimator == "picture"].fp > 0).any()
+
+
+def test_messages_are_selected_by_wire_and_ordered_by_frame(attacked: mast.Run) -> None:
+    messages = list(attacked.messages("agent/*/tracks"))
+    assert {message.wire for message in messages} == {f"agent/{name}/tracks" for name in attacked.agents}
+    assert {message.type for message in messages} == {"tracks"}
+    assert [message.frame for message in messages] == sorted(message.frame for message in messages)
+    assert len(messages) == 60 * 3
+    last = messages[-1]
+    assert last["position"].shape == (len(last["id"]), 3)
+    assert "agent/infra_2/tracks, frame 59" in repr(last)
+    assert last.columns is last.body, "by their former name"
+    with pytest.raises(ConfigurationError, match="no wire matches 'agent/ego/trakcs'; did you mean 'agent/ego/t"):
+        list(attacked.messages("agent/ego/trakcs"))
 
 
 def test_the_truth_equals_the_scenes_truth(attacked: mast.Run) -> None:
@@ -44,16 +60,6 @@ def test_the_truth_equals_the_scenes_truth(attacked: mast.Run) -> None:
         np.testing.assert_array_equal(np.asarray(rows["x"])[by_id], there.position[order, 0])
         np.testing.assert_array_equal(np.asarray(rows["yaw"])[by_id], there.yaw[order])
         np.testing.assert_allclose(rows["time_s"], frame * 0.1)
-
-
-def test_columns_have_units(attacked: mast.Run) -> None:
-    schema = attacked.picture.schema
-    units = {name: (schema.field(name).metadata or {}).get(b"unit", b"").decode() for name in schema.names}
-    assert units["time_s"] == "s"
-    assert units["x"] == units["l"] == "m"
-    assert units["vx"] == "m/s"
-    assert units["yaw"] == "rad"
-    assert units["id"] == units["score"] == ""
 
 
 def test_the_picture_and_the_tracks_are_near_the_truth(baseline: mast.Run) -> None:
@@ -89,17 +95,6 @@ def test_an_agent_has_its_detections_and_its_pose(baseline: mast.Run) -> None:
     np.testing.assert_allclose(moved, speed[:-1], atol=0.5)
     with pytest.raises(ConfigurationError, match="did you mean 'infra_1'"):
         baseline.agent("infra_11")
-
-
-def test_messages_are_selected_by_wire_and_ordered_by_frame(attacked: mast.Run) -> None:
-    messages = list(attacked.messages("agent/*/tracks"))
-    assert {message.wire for message in messages} == {f"agent/{name}/tracks" for name in attacked.agents}
-    assert {message.type for message in messages} == {"tracks"}
-    assert [message.frame for message in messages] == sorted(message.frame for message in messages)
-    assert len(messages) == 60 * 3
-    last = messages[-1]
-    assert last["position"].shape == (len(last["id"]), 3)
-    assert "agent/infra_2/tracks, frame 59" in repr(last)
 
 
 def test_taps_hold_messages_as_sent_before_an_adversary_changed_them(attacked: mast.Run) -> None:
@@ -147,12 +142,6 @@ def test_an_unfinished_run_is_read_as_far_as_it_has_been_recorded(attacked: mast
     assert run.plot.over_time("fp").axes
 
 
-def test_the_columns_of_a_message_are_its_body_also_by_their_former_name(attacked: mast.Run) -> None:
-    message = next(attacked.messages("cc/picture"))
-    assert message.columns is message.body
-    assert message["position"] is message.body["position"]
-
-
 def test_the_repr_of_a_run_is_one_line(attacked: mast.Run) -> None:
     assert repr(attacked).startswith("<Run uncoordinated-")
     assert "ok, 60 frames, seed 3, inproc" in repr(attacked)
@@ -161,15 +150,3 @@ def test_the_repr_of_a_run_is_one_line(attacked: mast.Run) -> None:
     assert [each.kind for each in attacked.findings[:2]] == ["adversaries", "change"]
     assert attacked.name == "uncoordinated"
     assert attacked.summary["frames"] == 60
-
-
-def test_a_pattern_that_matches_no_wire_is_refused_with_the_nearest(attacked: mast.Run) -> None:
-    with pytest.raises(ConfigurationError, match="no wire matches 'agent/ego/trakcs'; did you mean 'agent/ego/t"):
-        list(attacked.messages("agent/ego/trakcs"))
-
-
-def test_a_report_can_be_compared_with_another_run(attacked: mast.Run, baseline: mast.Run, tmp_path: Path) -> None:
-    shutil.copytree(attacked.path, tmp_path / "run")
-    page = mast.open(tmp_path / "run").report(frame=40, against=baseline)
-    assert page == (tmp_path / "run" / "report.html").resolve()
-    assert "compared with baseline" in page.read_text()

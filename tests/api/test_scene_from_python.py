@@ -1,7 +1,5 @@
 """`mast.scene` gives what a run with the same seed plays, without a run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -79,8 +77,5 @@ def test_a_scene_is_given_by_name_or_by_dict(file: Path) -> None:
 def test_anything_but_a_scene_is_refused(scene: Any, parameters: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         mast.scene(scene, **parameters)
-
-
-def test_an_agent_that_a_scene_does_not_have_is_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"intersection-0: no agent 'eg' in this scene; did you mean 'ego'"):
         mast.scene(frames=1).agent("eg")

@@ -1,7 +1,5 @@
 """Scenarios can name classes defined in a notebook, outside any file."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

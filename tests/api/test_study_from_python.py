@@ -1,7 +1,5 @@
 """`mast.study` runs a study and gives the same tables as `mast study`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

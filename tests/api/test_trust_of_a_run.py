@@ -1,7 +1,5 @@
 """Runs whose command centre judges agents: its trust in tables, and what it was worth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,8 +1,8 @@
 """The command line reports errors and exits as in docs/exit_codes.md."""
 
-from __future__ import annotations
-
+import errno
 import json
+from collections.abc import Callable
 from io import StringIO
 from pathlib import Path
 
@@ -10,10 +10,13 @@ import failing
 import pytest
 from rich.table import Table
 
+import mast_zenoh as testbed
 from mast_zenoh.cli import options
 from mast_zenoh.cli.options import PlainConsole
-from mast_zenoh.errors import HandlerFailed, MastError, RunFolderError
+from mast_zenoh.errors import DiskFull, HandlerFailed, MastError, RunFolderError
 from mast_zenoh.launch.run import EndedRun
+from mast_zenoh.scenario.reading import load
+from mast_zenoh.viewer.page.page import viewer_page
 
 SHORT = ("--frames", "4", "--runtime", "inproc")
 CLUSTERING = "command_center.pipeline.clustering"
@@ -33,12 +36,6 @@ def test_a_run_in_one_process_leaves_a_run_folder_a_recording_and_a_report(mast,
     code, _, err = mast("diff", "a", "b")
     assert code == 2
     assert "b/messages.mcap: missing; b is a run that was not recorded" in err.replace("\n", "")
-
-
-def test_without_out_the_run_folder_is_named_automatically(mast, tmp_path: Path) -> None:
-    for _ in range(2):
-        assert mast("run", "baseline", *SHORT, "--no-report")[0] == 0
-    assert len(list((tmp_path / "runs").iterdir())) == 2
 
 
 @pytest.mark.parametrize(
@@ -130,13 +127,6 @@ def test_the_wiring_is_shown_in_three_forms(mast) -> None:
     assert out.startswith("flowchart LR")
 
 
-def test_an_error_in_the_users_file_names_its_line(mast, tmp_path: Path) -> None:
-    (tmp_path / "broken.py").write_text("x = 1\ny = 1 / 0\n")
-    code, _, err = mast("run", "broken.py")
-    assert code == 10
-    assert "broken.py:2: ZeroDivisionError" in err.replace("\n", "")
-
-
 def test_ctrl_c_in_one_process_keeps_the_results_obtained_so_far(
     mast, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -174,18 +164,8 @@ def test_a_failed_handler_gives_exit_code_30_and_is_named_unless_allowed(mast, t
     assert f"warning: handlers failed, so the numbers may be wrong:\n  {description}" in err
 
 
-def test_a_restamps_s_that_is_not_callable_is_one_line_with_exit_code_12(mast, tmp_path: Path) -> None:
-    path = failing.write("start", tmp_path)
-    node = tmp_path / "idle.py"
-    node.write_text(node.read_text().replace('role = "adversary"', 'role, restamps_s = "adversary", 3.0'))
-    code, out, err = mast("run", str(path), *SHORT, "--out", "here")
-    assert (code, out) == (12, "")
-    assert "Idle.restamps_s: found 3.0, expected a method of the run's length, s, that returns a number of sec" in err
-    assert (err[:7], err.count("\n")) == ("error: ", 1)
-
-
 def test_a_run_is_compared_with_its_unattacked_twin(mast, tmp_path: Path) -> None:
-    attack = ("--set", "attack_start_s=0", "--frames", "25", "--runtime", "inproc")
+    attack = ("--set", "attack_start_s=0", "--frames", "12", "--runtime", "inproc")
     code, out, _ = mast("run", "uncoordinated", *attack, "--out", "here", "--against", "twin")
     assert code == 0
     assert (tmp_path / "here" / "twin" / "metrics.json").is_file()
@@ -211,7 +191,7 @@ def test_failures_in_a_comparison_are_reported_and_give_exit_code_30_unless_allo
     prefix = "compared with unattacked, which failed"
     page = (tmp_path / "loud" / "report.html").read_text()
     assert (prefix in out, prefix in page.lower()) == ((name == "center"),) * 2
-    code, out, err = mast("run", path, *short, "--out", "allowed", "--allow-failures")
+    code, out, err = mast("run", path, *short, "--no-report", "--out", "allowed", "--allow-failures")
     assert code == 0
     assert "warning: handlers failed" in err
     assert "more than unattacked" in out.replace("\n", " ")
@@ -267,12 +247,48 @@ def test_output_of_a_node_and_names_in_tables_cannot_move_the_cursor_or_change_t
     assert not {"\x1b", "\x07", "\x9b", "\u202e"} & {*table_text.getvalue()}
 
 
+def full(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
 @pytest.mark.parametrize(
-    ("error", "expected"), [(None, RunFolderError), (HandlerFailed("a handler failed"), HandlerFailed)]
+    ("show", "error", "expected", "message"),
+    [
+        (lambda *_, **__: {}["agents"], None, RunFolderError, "KeyError"),
+        (lambda *_, **__: {}["agents"], HandlerFailed("its own"), HandlerFailed, "its own"),
+        (full, HandlerFailed("its own"), HandlerFailed, "its own"),
+        (full, None, DiskFull, "are complete except for the report"),
+    ],
 )
-def test_a_failing_report_does_not_hide_the_error_of_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: MastError | None, expected: type[MastError]
+def test_a_failing_report_hides_no_error_of_its_run_and_calls_no_failed_run_complete(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    show: Callable[..., None],
+    error: MastError | None,
+    expected: type[MastError],
+    message: str,
 ) -> None:
-    monkeypatch.setattr(options, "_show", lambda *_, **__: {}["agents"])
-    with pytest.raises(expected):
+    monkeypatch.setattr(options, "_show", show)
+    with pytest.raises(expected, match=message):
         options.conclude(EndedRun(tmp_path, {"nodes": {}, "message": ""}, error), report=True)
+    told = " ".join(capsys.readouterr().err.split())
+    assert "complete" not in told
+    assert ("are those of a failed run, without a report" in told) == (show is full and error is not None)
+
+
+@pytest.mark.heavy
+def test_a_defended_run_is_compared_with_the_same_run_without_its_fault(mast, tmp_path: Path) -> None:
+    _, scenario = load("defended", ["defence=FaultOrLie", "attack_start_s=0.5", "n_infrastructure=2"])
+    fault = dict(type="BlindSector", node="infra_1", at=0.5, azimuth_min_deg=-60.0, azimuth_max_deg=60.0)
+    faulted, sound = (
+        testbed.run(scenario | dict(faults=faults), frames=40, seed=5, out=tmp_path / name)
+        for name, faults in (("faulted", [fault]), ("sound", []))
+    )
+    code, out, err = mast("report", "faulted", "--against", "sound")
+    assert code == 0, err
+    assert "than sound" in " ".join(out.split())
+    compared = testbed.compare(sound, faulted)
+    assert compared.headline in " ".join(str(compared).split())
+    assert len(set(compared.table["run"].to_pylist())) == 2
+    assert "defended and sound" in viewer_page([faulted.path, sound.path]).decode()

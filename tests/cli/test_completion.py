@@ -1,7 +1,5 @@
 """The shell completes names, parameters and run folders, quickly, and never fails."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable

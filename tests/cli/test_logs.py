@@ -1,7 +1,5 @@
 """`mast logs` prints the logs of a run, whatever nodes have written into them."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -50,15 +48,19 @@ def test_logs_of_all_nodes_are_in_the_order_of_time_with_their_names(mast, run_f
     ]
 
 
-def test_the_log_of_one_node_is_printed_as_it_is(mast, run_folder: Path) -> None:
+def test_the_log_of_one_node_is_printed_as_it_is_and_an_unknown_node_or_folder_refused(
+    mast, run_folder: Path, tmp_path: Path
+) -> None:
     assert mast("logs", str(run_folder), "broker")[1].splitlines()[1:] == ["Traceback:", "  File x"]
     assert mast("logs", str(run_folder), "idle") == (0, "", "idle has not written to its log\n")
-
-
-def test_an_unknown_node_is_refused_with_the_nearest_name(mast, run_folder: Path) -> None:
-    code, out, err = mast("logs", str(run_folder), "brokr")
-    assert (code, out) == (15, "")
-    assert "has no node 'brokr'; did you mean 'broker'?" in err.replace("\n", " ")
+    for words, reason in (
+        ((str(run_folder), "brokr"), "has no node 'brokr'; did you mean 'broker'?"),
+        ((str(tmp_path),), "expected the folder of a run"),
+        ((str(tmp_path / "nowhere"),), "expected the folder of a run"),
+    ):
+        code, out, err = mast("logs", *words)
+        assert (code, out) == (15, "")
+        assert reason in err.replace("\n", " ")
 
 
 def test_control_characters_of_a_node_do_not_reach_the_terminal(mast, run_folder: Path) -> None:
@@ -110,20 +112,12 @@ def test_a_log_of_many_gigabytes_is_read_in_a_moment(mast, run_folder: Path) -> 
     assert "are left out" in err.replace("\n", " ")
 
 
-def test_a_folder_that_is_no_run_folder_is_refused(mast, tmp_path: Path) -> None:
-    for place in (tmp_path, tmp_path / "nowhere"):
-        code, _, err = mast("logs", str(place))
-        assert code == 15
-        assert "expected the folder of a run" in err.replace("\n", " ")
-
-
 @pytest.fixture
 def following(run_folder: Path):
     """`mast logs RUN -f` in its own process, which has printed the lines up to now."""
     command = (sys.executable, "-m", "mast_zenoh", "logs", str(run_folder), "-f")
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
-            assert process.stdout is not None
             for _ in range(4):
                 process.stdout.readline()
             yield process
@@ -132,7 +126,6 @@ def following(run_folder: Path):
 
 
 def test_new_lines_follow_until_the_run_ends(following: subprocess.Popen[str], run_folder: Path) -> None:
-    assert following.stdout is not None
     write(run_folder, "ego", " and more\n")
     assert following.stdout.readline() == "ego  2026-01-01 00:00:03,000 INFO mast.ego: three and more\n"
     write(run_folder, "late", "it has joined\n")
@@ -150,7 +143,6 @@ def test_ctrl_c_ends_following(following: subprocess.Popen[str]) -> None:
 
 
 def test_following_ends_when_nobody_reads(following: subprocess.Popen[str], run_folder: Path) -> None:
-    assert following.stdout is not None
     following.stdout.close()
 
     def ended() -> bool:

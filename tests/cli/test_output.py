@@ -1,7 +1,5 @@
 """What commands print fits a terminal of 80 columns, and --quiet prints nothing but problems."""
 
-from __future__ import annotations
-
 from io import StringIO
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`mast replay` on the command line: what it says, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

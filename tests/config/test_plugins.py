@@ -1,7 +1,5 @@
 """Installed packages bring classes; ours win, and a broken plugin stops only what needs it."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import json
@@ -37,18 +35,41 @@ def installed(site: Path, name: str, code: str) -> Path:
     return site
 
 
+def environment(site: Path) -> dict[str, str]:
+    """That of a process with the packages of a folder."""
+    return os.environ | {"PYTHONPATH": f"{site}{os.pathsep}{ROOT}", "COLUMNS": "1000"}
+
+
 def mast(site: Path, *words: str, code: int = 0, cwd: Path | None = None) -> str:
     """Everything that a command prints, with the packages of a folder."""
-    process = subprocess.run(
-        [sys.executable, "-m", "mast_zenoh", *words],
-        env=os.environ | {"PYTHONPATH": f"{site}{os.pathsep}{ROOT}", "COLUMNS": "1000"},
-        cwd=cwd or apart(site),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command, options = [sys.executable, "-m", "mast_zenoh", *words], dict(capture_output=True, text=True, check=False)
+    process = subprocess.run(command, env=environment(site), cwd=cwd or apart(site), **options)
     assert process.returncode == code, process.stdout + process.stderr
     return process.stdout + process.stderr
+
+
+#: Runs commands one after the other; prints the exit code of each, and everything that it prints.
+COMMANDS = """
+import json, sys
+sys.path.append(sys.argv.pop())
+from commands_in_process import command
+ended = [command(*words) for words in json.loads(sys.argv[1])]
+print(json.dumps([(each.code, each.out + each.err) for each in ended]))
+"""
+
+
+def mast_each(site: Path, *commands: str) -> list[tuple[int, str]]:
+    """The exit code and everything that is printed of several commands in one process."""
+    words = json.dumps([command.split() for command in commands])
+    process = subprocess.run(
+        [sys.executable, "-c", COMMANDS, words, str(ROOT / "tests" / "support")],
+        env=environment(site),
+        cwd=apart(site),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return [(code, printed) for code, printed in json.loads(process.stdout.splitlines()[-1])]
 
 
 def apart(site: Path) -> Path:
@@ -193,7 +214,6 @@ def test_a_plugin_whose_import_does_not_end_is_named_with_how_to_leave_it_out(tm
     with subprocess.Popen(command, env=environment, cwd=apart(site), stderr=subprocess.PIPE, text=True) as process:
         guard = threading.Timer(120.0, process.kill)
         guard.start()
-        assert process.stderr is not None
         line = process.stderr.readline()
         guard.cancel()
         process.kill()
@@ -220,30 +240,35 @@ def test_a_plugin_that_takes_a_name_is_left_out(tmp_path: Path) -> None:
     assert "no such file or folder" in mast(site, "scene", "check", "nowhere.tar.gz", code=10)
 
 
-@pytest.mark.parametrize(
-    "words", [("list", "scenes", "RingRoad"), ("list", "attacks", "Extra"), ("scene", "check", "ringroad:4")]
-)
-def test_a_name_that_may_be_of_a_broken_plugin_is_a_plugin_error(tmp_path: Path, words: tuple[str, ...]) -> None:
-    printed = mast(installed(tmp_path, "broken", BROKEN), *words, code=35)
-    assert re.search("(named 'RingRoad'|named 'Extra'|no short name): the plugin broken of broken 1.0 cannot", printed)
+def test_a_name_that_may_be_of_a_broken_plugin_is_a_plugin_error(tmp_path: Path) -> None:
+    commands = ("list scenes RingRoad", "list attacks Extra", "scene check ringroad:4")
+    for code, printed in mast_each(installed(tmp_path, "broken", BROKEN), *commands):
+        assert code == 35
+        assert re.search(
+            "(named 'RingRoad'|named 'Extra'|no short name): the plugin broken of broken 1.0 cann", printed
+        )
 
 
 def test_short_names_of_a_plugin_are_shown_and_its_faults_named(tmp_path: Path) -> None:
     site = installed(tmp_path, "rings", SCENE.format(name="RingRoad", short="ringroad", argument="n_cars"))
     installed(tmp_path, "wrong", SCENE.format(name="WrongRoad", short="wrong", argument="cars"))
-    assert "A road; ringroad:N_CARS (plugin rings 1.0)" in mast(site, "list", "scenes", "RingRoad")
-    assert "rings 1.0" in mast(site, "doctor")
     (tmp_path / "unknown").mkdir()
-    for scene, code, reason in (
-        ("ringroad:ten", 10, "'ten' is not a whole number, expected ringroad:N_CARS, 0 or more"),
-        ("wrong:4", 10, "wrong.WrongRoad.short_argument is 'cars', expected one of its parameters; did you mean 'n_ca"),
-        (str(tmp_path / "unknown"), 13, "expected the files of one of recording, av2,"),
-    ):
-        printed = mast(site, "scene", "check", scene, code=code)
-        assert reason in printed
-        assert not re.search(r"one of .*(intersection|ringroad)", printed)
-    run = mast(site, "run", "baseline", "--set", "scene=carla:x", code=10)
-    assert "unknown name 'carla', expected one of NAME:PATH, intersection:SCENE_INDEX, ringroad:N_CARS, wrong:" in run
+    expected = {
+        "list scenes RingRoad": (0, "A road; ringroad:N_CARS (plugin rings 1.0)"),
+        "doctor": (0, "rings 1.0"),
+        "scene check ringroad:ten": (10, "'ten' is not a whole number, expected ringroad:N_CARS, 0 or more"),
+        "scene check wrong:4": (
+            10,
+            "wrong.WrongRoad.short_argument is 'cars', expected one of its parameters; did you",
+        ),
+        f"scene check {tmp_path / 'unknown'}": (13, "expected the files of one of recording, av2,"),
+        "run baseline --set scene=carla:x": (
+            *(10, "unknown name 'carla', expected one of NAME:PATH, intersection:SCENE_INDEX, ringroad:N_CARS, wrong:"),
+        ),
+    }
+    for (words, (code, reason)), ended in zip(expected.items(), mast_each(site, *expected), strict=True):
+        assert (ended[0], reason in ended[1]) == (code, True), ended[1]
+        assert not words.startswith("scene") or not re.search(r"one of .*(intersection|ringroad)", ended[1])
 
 
 def test_a_missing_plugin_is_named() -> None:

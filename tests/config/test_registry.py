@@ -125,8 +125,6 @@ def test_a_dataclass_inherits_fields_whose_types_its_own_module_does_not_know(tm
         "@dataclass(kw_only=True, eq=False)\nclass Louder(UncoordinatedAttack):\n    gain: float = 1.0\n"
     )
     spec = importlib.util.spec_from_file_location("mine", module)
-    assert spec is not None
-    assert spec.loader is not None
     loaded = sys.modules["mine"] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(loaded)
     attack = registry.build(

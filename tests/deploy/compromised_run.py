@@ -4,8 +4,6 @@ Tests call `play`, which starts that process and acts as the insiders: each is a
 a node that is itself honest. The driver holds the run before a frame until every insider has sent its messages.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -231,8 +229,6 @@ def _watch(context: RunContext, folder: Path, peaks: dict[str, float], over: thr
     """Report that the run is held, and record the peak memory of each process."""
     while not over.wait(0.05):
         if context.frame >= HELD_BEFORE - 1 and not (folder / "ready").exists():
-            assert context.mesh is not None
-            assert context.mesh.deployment is not None
             access = {
                 "keys": str(context.mesh.deployment.folder),
                 "endpoint": context.record["endpoint"],

@@ -5,8 +5,6 @@ python ssh_launch.py check HOSTS.toml...      errors: {file: [exit code, message
 python ssh_launch.py status|logs|down OUT     like `mast deploy`, from the run folder alone
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Composed runs, and those of shipped files by themselves, equal local ones and leave nothing behind. Needs Docker."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

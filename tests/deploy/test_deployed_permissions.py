@@ -1,7 +1,5 @@
 """Only the user can change a deployment's files or read its secrets."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

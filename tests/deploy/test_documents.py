@@ -1,7 +1,5 @@
 """Generated compose files: readable, valid for Docker, reproducible."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess
@@ -25,7 +23,6 @@ from mast_zenoh.deploy.engine import NUMERIC_VARIABLES
 from mast_zenoh.errors import BackendError, ConfigurationError
 
 FOLDER = Path(__file__).parents[2] / "deploy" / "compose"
-RUN = "uncoordinated-00c0ffee"
 CREDENTIALS = {"ca.pem", "certificate.pem", "key.pem", "control.json"}
 
 TEXT = st.text(st.characters(exclude_categories=["Cs"]))

@@ -1,7 +1,5 @@
 """The image holds only what nodes need."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tomllib

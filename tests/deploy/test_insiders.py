@@ -3,8 +3,6 @@
 `make insiders` sends 200 messages of each kind for each node; otherwise a few are sent in fewer runs.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections import Counter

@@ -1,7 +1,5 @@
 """Files that remote nodes receive and send: only their own, and none outside their folder."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from contextlib import suppress

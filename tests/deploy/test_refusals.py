@@ -1,7 +1,5 @@
 """Impossible deployments are refused before anything is started or written."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Remote nodes need only the mesh, and give the same results."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

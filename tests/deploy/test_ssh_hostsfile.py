@@ -1,7 +1,5 @@
 """hosts.toml: strict reading, errors with paths, and placement of nodes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Runs on three SSH hosts: results, recovery from failures, and cleanup."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """A host's supervisor without SSH: commands run once, nothing remains."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

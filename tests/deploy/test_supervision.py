@@ -1,7 +1,5 @@
 """Nodes on each platform, with stand-ins for Docker and for hosts: what ends is noticed, named and restarted."""
 
-from __future__ import annotations
-
 import os
 from contextlib import ExitStack
 from pathlib import Path

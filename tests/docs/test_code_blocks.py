@@ -8,8 +8,6 @@ python file=…          files of walk-throughs, run by separate tests
 python illustration    needs more than a test machine has: only compiled
 """
 
-from __future__ import annotations
-
 import ast
 import json
 import re
@@ -223,7 +221,6 @@ def attempts_of_ones_own(block: Block, folder: Path) -> None:
 def study_with_a_search(block: Block, folder: Path) -> None:
     (folder / "mine.py").write_text(block.content)
     study = definition.load(str(folder / "mine.py"), ["budget=3.0"])
-    assert study.search is not None
     assert (study.search.run, list(study.search.space)[2:], study.trials) == (
         "colluding",
         ["n_adversaries", "placement"],
@@ -316,19 +313,12 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "v2x.md": [whole_scenario],
 }
 
+
 #: Pages whose files are run by tests of their own.
-WALK_THROUGHS = (
-    "animations.md",
-    "extending.md",
-    "interception.md",
-    "replay.md",
-    "plugins.md",
-    "ros2_nodes.md",
-    "stone_soup.md",
-    "tutorial.md",
-    "tutorial_defence.md",
-    "tutorial_driving.md",
-)
+_WALK_THROUGHS = """
+    animations extending interception replay plugins ros2_nodes stone_soup tutorial tutorial_defence tutorial_driving
+"""
+WALK_THROUGHS = [f"{name}.md" for name in _WALK_THROUGHS.split()]
 
 
 def test_every_python_block_is_run_by_a_test() -> None:

@@ -1,7 +1,5 @@
 """Every example of docs/extending.md runs as written."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

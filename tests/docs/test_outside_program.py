@@ -1,7 +1,5 @@
 """The example of docs/plugins.md runs: a program that uses only Zenoh makes an agent's tracks and hears the picture."""
 
-from __future__ import annotations
-
 import re
 import socket
 import subprocess
@@ -42,7 +40,6 @@ def program(folder: Path) -> Iterator[str]:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     command = [sys.executable, str(folder / "tracker.py"), endpoint]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         try:
             yield endpoint

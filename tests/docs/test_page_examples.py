@@ -1,7 +1,5 @@
 """Python examples of pages run as written, and the pages name all that their readers need."""
 
-from __future__ import annotations
-
 import importlib.util
 import inspect
 import json

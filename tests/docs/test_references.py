@@ -1,7 +1,5 @@
 """Files, modules and names that docstrings and pages mention exist."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Pages whose files and commands are run in order, as a reader would, and whose numbers are checked."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

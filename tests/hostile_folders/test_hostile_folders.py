@@ -1,7 +1,5 @@
 """Run folders from an attacker: no command runs their code, writes outside them, hangs, or shows a traceback."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

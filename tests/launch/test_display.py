@@ -1,7 +1,5 @@
 """What a terminal shows of a run fits it, and is measured."""
 
-from __future__ import annotations
-
 import itertools
 from io import StringIO
 
@@ -76,23 +74,18 @@ def test_without_a_terminal_there_are_four_lines_and_with_quiet_none() -> None:
         assert [line.strip() for line in file.getvalue().splitlines()] == expected
 
 
-def test_without_a_terminal_a_slow_run_has_a_line_every_minute(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [0.0]
-    monkeypatch.setattr(display.time, "monotonic", lambda: now[0])
-    file = StringIO()
-    with Display(Console(file=file, width=80), "a_run", 10**9) as plain:
-        for frame in range(1400):
-            now[0] = 0.1 * frame
-            plain.update(frame, lambda: pytest.fail("nothing is computed"))
-    assert file.getvalue().splitlines() == ["a_run: frame 601 10/s", "a_run: frame 1201 10/s"]
-
-
-def test_without_a_terminal_a_line_says_for_which_nodes_an_end_waits_and_once_a_minute_again(
+def test_without_a_terminal_there_is_a_line_every_minute_of_a_slow_run_and_of_the_nodes_that_an_end_waits_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = 0.0
     monkeypatch.setattr(display.time, "monotonic", lambda: now)
-    out = StringIO()
+    slow, out = StringIO(), StringIO()
+    with Display(Console(file=slow, width=80), "a_run", 10**9) as plain:
+        for frame in range(1400):
+            now = 0.1 * frame
+            plain.update(frame, lambda: pytest.fail("nothing is computed"))
+    assert slow.getvalue().splitlines() == ["a_run: frame 601 10/s", "a_run: frame 1201 10/s"]
+    now = 0.0
     with Display(Console(file=out, width=80), "a_run", 8) as drawn:
         drawn.update(8, lambda: status(3))
         before = out.getvalue()

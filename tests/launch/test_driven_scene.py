@@ -1,7 +1,5 @@
 """After a run with drivers, the scene in its folder is what happened; without a recording, that is told."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +26,6 @@ def test_the_scene_of_the_folder_is_what_happened(tmp_path: Path) -> None:
     ended = run.run(driven(*ATTACK, frames=12, record=True), tmp_path / "run", runtime="inproc")
     assert ended.error is None
     scene, prepared = Recording.load(ended.folder / "scene.npz"), driven(frames=12).recording
-    assert prepared is not None
     sent = {(message.key, message.frame): message.payload for message in read(ended.folder)}
     for frame in range(12):
         truth = codec.decode(sent["scene/truth", frame], "truth").body
@@ -67,7 +64,6 @@ def test_the_scene_of_a_twin_is_what_happened_without_the_attack(tmp_path: Path)
 def test_a_live_view_shows_the_truth_as_it_happens(tmp_path: Path) -> None:
     ended = run.run(driven(*ATTACK, frames=30, record=True), tmp_path / "run", runtime="inproc")
     happened, prepared = Recording.load(ended.folder / "scene.npz"), driven(*ATTACK, frames=30).recording
-    assert prepared is not None
     observer: Any = RecordedObserver(ended.folder, numbers=(10, 29))
     observer.address.scene = prepared  # as it is while the run goes on
     observer.run = observer.run.with_(scene=prepared)
@@ -93,5 +89,4 @@ def test_without_a_recording_it_is_told_that_pictures_show_the_prepared_scene(tm
     (told,) = [notice["text"] for notice in ended.record["notices"] if notice["kind"] == "scene"]
     assert told.startswith("figures, films and views of this run show its prepared scene")
     prepared = driven(frames=6).recording
-    assert prepared is not None
     assert np.array_equal(Recording.load(ended.folder / "scene.npz").agent_position, prepared.agent_position)

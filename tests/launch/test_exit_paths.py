@@ -1,7 +1,5 @@
 """However `mast run` ends, run.json and the exit code are as documented."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

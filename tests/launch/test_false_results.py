@@ -1,7 +1,5 @@
 """False results of one node affect only that node, not the run."""
 
-from __future__ import annotations
-
 import functools
 import json
 import time

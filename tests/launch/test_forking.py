@@ -1,7 +1,5 @@
 """Nodes that are forked are processes like any other."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

@@ -1,7 +1,5 @@
 """Failed handlers are named in the error, run.json and report unless allowed."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -24,7 +22,7 @@ def resolved(name: str, folder: Path, frames: int = 12) -> Resolved:
     return scenario.resolve(*scenario.load(str(failing.write(name, folder)), []), frames=frames, record=True)
 
 
-def played(name: str, folder: Path, **options: Any) -> run.Run:
+def played(name: str, folder: Path, **options: Any) -> run.EndedRun:
     return run.run(resolved(name, folder), folder / "run", runtime="inproc", **options)
 
 

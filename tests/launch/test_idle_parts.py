@@ -1,7 +1,5 @@
 """A run names the parts of its scenario that took part in nothing, and why."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

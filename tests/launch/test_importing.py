@@ -1,7 +1,5 @@
 """Commands and nodes load only the packages that they need: loading takes most of the time of a short run."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

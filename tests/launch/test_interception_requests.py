@@ -1,7 +1,5 @@
 """Requests to change a running run are checked and authenticated."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -48,7 +46,6 @@ def node_file(folder: Path, inputs: dict[str, str], outputs: dict[str, str], rol
 def test_an_adversary_gets_the_wire_the_clock_its_agents_pose_and_a_report_key(resolved: Resolved) -> None:
     name, spec, place = plan(resolved, TRACKS, "adversary.py", settings=ATTACK)
     assert (name, spec.role, spec.on_exit) == ("adversary_1", "adversary", "continue")
-    assert resolved.recording is not None
     add_surroundings({name: spec}, resolved.recording)
     surroundings = spec.config.pop("surroundings")
     assert (surroundings["victims"], next(iter(surroundings["agents"]))) == (["infra_1"], "ego"), "it knows the scene"

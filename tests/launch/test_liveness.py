@@ -1,7 +1,5 @@
 """A run is `running` while its launcher lives, and `killed` afterwards."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -29,17 +27,24 @@ def other() -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
 
     command = [sys.executable, "-c", SAYS_WHO]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout
         yield process, json.loads(process.stdout.readline())
         process.kill()
 
 
-def test_a_zombie_process_counts_as_dead(other) -> None:
+def test_a_zombie_process_counts_as_dead_and_a_later_one_with_the_same_id_is_another(other) -> None:
     process, identity = other
     assert liveness.lives(identity)
+    assert liveness.lives(identity | {"began": "1"}) is False
     process.kill()
     os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
     assert liveness.lives(identity) is False
+
+
+def test_a_finished_run_and_a_record_without_a_launcher_keep_their_status() -> None:
+    for launcher in (None, {}, {"pid": "x"}, "someone", [1]):
+        assert liveness.current_record({"status": "running", "launcher": launcher})["status"] == "running"
+    dead = liveness.identity() | {"began": "1"}
+    assert liveness.current_record({"status": "ok", "launcher": dead})["status"] == "ok"
 
 
 def test_a_live_run_is_its_users_own_and_one_of_another_user_or_of_a_dead_launcher_is_not(
@@ -59,11 +64,6 @@ def test_a_live_run_is_its_users_own_and_one_of_another_user_or_of_a_dead_launch
     assert not liveness.is_own(file, {"launcher": identity})
 
 
-def test_a_later_process_with_the_same_id_is_distinguished(other) -> None:
-    _, identity = other
-    assert liveness.lives(identity | {"began": "1"}) is False
-
-
 @pytest.mark.parametrize(
     ("elsewhere", "lives"),
     [({"machine": "another"}, None), ({"pid_namespace": "pid:[1]"}, None), ({"boot": "yesterday"}, False)],
@@ -71,16 +71,6 @@ def test_a_later_process_with_the_same_id_is_distinguished(other) -> None:
 def test_liveness_on_another_machine_is_unknown_but_a_reboot_ends_every_process(elsewhere, lives) -> None:
     assert liveness.lives(liveness.identity()) is True
     assert liveness.lives(liveness.identity() | elsewhere) is lives
-
-
-@pytest.mark.parametrize("launcher", [None, {}, {"pid": "x"}, "someone", [1]])
-def test_a_record_without_a_launcher_keeps_its_status(launcher: object) -> None:
-    assert liveness.current_record({"status": "running", "launcher": launcher})["status"] == "running"
-
-
-def test_a_finished_run_is_not_reported_as_killed() -> None:
-    dead = liveness.identity() | {"began": "1"}
-    assert liveness.current_record({"status": "ok", "launcher": dead})["status"] == "ok"
 
 
 def test_every_tool_that_reads_the_folder_reports_a_killed_run(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Results of `finish` are written to the run folder and nowhere else."""
 
-from __future__ import annotations
-
 import json
 import tracemalloc
 from functools import partial
@@ -157,12 +155,16 @@ def test_an_attack_without_targets_or_positions_is_reported(
         assert counts["placed"] < counts["wanted"]
 
 
-def test_a_node_writes_at_most_a_hundred_tables(tmp_path: Path) -> None:
-    refused, files = written({"node": {"tables": {f"t{i}": {"a": [i]} for i in range(103)}}}, tmp_path / "run")
+def test_a_node_writes_at_most_a_hundred_tables_of_a_thousand_columns(tmp_path: Path) -> None:
+    refused, files = written({"node": {"tables": {f"t{i}": {"a": [i]} for i in range(103)}}}, tmp_path / "many")
     assert refused == [
         f"node: table t{i}: found more than 100 tables, expected at most as many" for i in range(100, 103)
     ]
     assert len(files) == 100
+    tables = {name: {f"c{i}": [i] for i in range(n)} for name, n in (("most", 1000), ("more", 1001))}
+    refused, files = written({"node": {"tables": tables}}, tmp_path / "wide")
+    assert refused == ["node: table more: found 1001 columns, expected 1 to 1000"]
+    assert files == {"results/node/most.parquet"}
 
 
 def test_a_node_that_hands_in_more_tables_than_a_node_has_keeps_no_more_files_open(tmp_path: Path) -> None:
@@ -205,13 +207,6 @@ def test_lost_messages_are_reported(tmp_path: Path) -> None:
     assert record["recording"] == {"complete": False, "from_frame": 0}, "no recording exists here"
 
 
-def test_a_table_has_at_most_a_thousand_columns(tmp_path: Path) -> None:
-    tables = {name: {f"c{i}": [i] for i in range(n)} for name, n in (("most", 1000), ("more", 1001))}
-    refused, files = written({"node": {"tables": tables}}, tmp_path / "run")
-    assert refused == ["node: table more: found 1001 columns, expected 1 to 1000"]
-    assert files == {"results/node/most.parquet"}
-
-
 def test_one_long_text_does_not_widen_the_others(tmp_path: Path) -> None:
     texts = ["x" * 1_000_000, *[""] * 10_000]  # as a text array this takes 40 GB
     results = {"node": {"tables": {"t": {"a": texts}}, "plain": np.array(texts, object)}}
@@ -246,11 +241,6 @@ def test_only_one_of_two_runs_that_start_in_the_same_folder_gets_it(
         run_folder.create(tmp_path, "run")
 
 
-@pytest.mark.parametrize("value", [{"a": -1}, {"a\nb": 1}, {"a": True}, {"a": 1.5}, [1], None])
-def test_invalid_counts_are_ignored(value: Any) -> None:
-    assert results.counts_of(value) == {}
-
-
 MS = 1_000_000
 SENT = {0: 0, 1: 100 * MS, 2: 200 * MS}
 
@@ -274,20 +264,16 @@ def test_percentiles_cover_frames_that_were_sent_and_received() -> None:
     assert conclusion.percentiles(SENT, {}) == {}
 
 
-def test_latency_is_measured_at_the_first_subscriber_with_arrivals() -> None:
+def test_latency_is_measured_at_the_first_subscriber_with_arrivals_or_else_at_the_first_listener() -> None:
     wiring = Wiring((wire("a/tracks", "a", "evaluator", "broker", "cc"), wire("b", "broker"), wire("c", "cc")))
     arrived = {"evaluator": came("a/tracks", 90.0), "broker": came("a/tracks", 3.0), "cc": came("a/tracks", 40.0)}
     assert conclusion.by_wire(wiring, SENT, arrived)["a/tracks"] == {"p50": 3.0, "p95": 3.0, "p99": 3.0, "n": 1}
     del arrived["broker"]
     assert conclusion.by_wire(wiring, SENT, arrived)["a/tracks"]["p50"] == 40.0, "it was killed and returned nothing"
-
-
-def test_a_wire_with_only_listeners_is_measured_at_the_first_and_one_without_arrivals_is_omitted() -> None:
     wiring = Wiring((wire("truth", "simulator", "evaluator", "watcher"), wire("dead", "x", "evaluator")))
     arrived = {"evaluator": came("truth", 7.0), "watcher": came("truth", 1.0), "recorder": came("dead", 1.0)}
-    assert {key: by_frame["p50"] for key, by_frame in conclusion.by_wire(wiring, SENT, arrived).items()} == {
-        "truth": 7.0
-    }
+    by_frame = conclusion.by_wire(wiring, SENT, arrived)
+    assert {key: of["p50"] for key, of in by_frame.items()} == {"truth": 7.0}, "without arrivals there is none"
 
 
 def test_latency_is_measured_after_interposers_on_trunk_and_branch() -> None:
@@ -328,12 +314,9 @@ def test_the_picture_has_come_when_the_first_node_has_it_and_before_interposers(
     assert measured["by_wire"]["cc/picture"]["p50"] == 523.0
 
 
-def test_late_messages_are_counted_by_agent() -> None:
+def test_only_counts_of_brokers_are_collations_and_invalid_ones_are_ignored() -> None:
     assert late([{"late": {"infra_2": 3, "ego": 1}}, {"late": {"ego": 2}}]) == {"ego": 3, "infra_2": 3}
     assert late([]) == {}
-
-
-def test_only_counts_of_brokers_are_collations() -> None:
     nodes = {name: NodeSpec(role, "", "", {}, "fail") for name, role in (("broker", "broker"), ("spy", "visualizer"))}
     counted = {"late": {"ego": 1}}
     handed_in = {"broker": {"collation": counted}, "spy": {"collation": 7}, "gone": {"collation": counted}}
@@ -341,3 +324,5 @@ def test_only_counts_of_brokers_are_collations() -> None:
     assert collations({"broker": {"collation": "nonsense"}}, nodes) == []
     odd = {"late": [1], "overdue": "many", "complete": 3}
     assert collations({"broker": {"collation": odd}}, nodes) == [{"complete": 3, "late": {}}]
+    for value in ({"a": -1}, {"a\nb": 1}, {"a": True}, {"a": 1.5}, [1], None):
+        assert results.counts_of(value) == {}

@@ -1,7 +1,5 @@
 """A finished run reports late, rejected and foreign messages, and overconfident estimates, in one line each."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

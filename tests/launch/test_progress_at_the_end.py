@@ -1,7 +1,5 @@
 """An end may take as long as it makes progress: what counts is measured, and each kind of it has a limit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 from unittest.mock import MagicMock

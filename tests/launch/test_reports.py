@@ -1,7 +1,5 @@
 """Forged reports on an open mesh cost one message and have no effect."""
 
-from __future__ import annotations
-
 from typing import Any
 from unittest.mock import MagicMock
 

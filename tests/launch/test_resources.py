@@ -1,7 +1,5 @@
 """Too little memory and too few file descriptors are told on one line, and never look like a success."""
 
-from __future__ import annotations
-
 import errno
 import os
 import resource

@@ -1,7 +1,5 @@
 """What the code of a node has started ends with its run, however it was started and however the node ends."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path

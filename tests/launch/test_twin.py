@@ -1,7 +1,5 @@
 """A run's twin is a run of the same scenario without its adversaries."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from itertools import product

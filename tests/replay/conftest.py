@@ -1,7 +1,5 @@
 """Recorded runs, each made once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Runs of the tiny world to record and replay."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Replays of driven runs tell the causes of brakes as the run does, or that they are unknown."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Recordings that lack something are refused, or replayed with a notice."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Replays of recorded runs: which nodes are played, and what the live ones receive."""
 
-from __future__ import annotations
-
 import json
 from collections import defaultdict
 from collections.abc import Callable

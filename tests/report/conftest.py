@@ -1,7 +1,5 @@
 """Folders and records of a small synthetic run, by attack."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from functools import cache

@@ -1,7 +1,5 @@
 """A synthetic matrix of defences: two defences, with all kinds of numbers."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A synthetic matrix of published methods: as many defences, attacks and kinds of scene as are asked for."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A page as tests read it."""
 
-from __future__ import annotations
-
 import base64
 from html.parser import HTMLParser
 from pathlib import Path

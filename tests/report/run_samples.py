@@ -1,7 +1,5 @@
 """A small, consistent synthetic run: crossing, ego, poles, two adversaries."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Synthetic study rows: grids of configurations with all estimates."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The figures of a matrix of defences."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The tables of a matrix of defences show every number with its interval."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -1,7 +1,5 @@
 """The figure of the matrix of published methods: its panels, cells, marks and colours."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tables of the matrix of published methods, and of published figures next to ours."""
 
-from __future__ import annotations
-
 import csv
 import io
 from dataclasses import replace

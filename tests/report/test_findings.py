@@ -1,7 +1,5 @@
 """Findings agree with the numbers, and name a cause only if it was measured."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """The headline of a run with drivers begins with what happened to its cars, and credits nothing to their other way."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from copy import deepcopy
 from typing import Any

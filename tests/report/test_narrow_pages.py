@@ -1,7 +1,5 @@
 """Pages on a screen of 500 px and on paper: nothing is cut off, and scores are visible without scrolling."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Achievements of attacks, reasons for limited effects, and driving."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Only comparable runs are compared."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The report compares the confidence of every estimate with its accuracy."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

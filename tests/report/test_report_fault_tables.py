@@ -1,7 +1,5 @@
 """Reports of faulted runs show faults, causes and checks; others none."""
 
-from __future__ import annotations
-
 import io
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Figures show the right content, colours and clipping."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Mapping
 

@@ -1,7 +1,5 @@
 """Report pages are complete, self-contained, correctly escaped and accurate."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import html

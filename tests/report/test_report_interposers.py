@@ -1,7 +1,5 @@
 """Effects and reports of interposers: verdicts, live insertion, downlink."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A report says what a driven car did and why, beside its twin: sentences, table, figure and page."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Pages and words on runs of peers: they speak of no centre, and name the agent that is deceived."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What a page and a terminal say of runs, word by word."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from pathlib import Path

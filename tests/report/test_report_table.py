@@ -1,7 +1,5 @@
 """The table of scores: a row per metric and run, a column per estimate."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The report shows the command centre's trust: states, withheld objects, suspensions and their reasons."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from pathlib import Path

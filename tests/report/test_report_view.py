@@ -1,7 +1,5 @@
 """The frame and the window that pictures show."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The wiring diagram and table: interposers by wire."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

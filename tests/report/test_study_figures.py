@@ -1,7 +1,5 @@
 """Study figures show each configuration once and connect neighbours only."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """The study page is self-contained and escaped, with failures first."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from kept_texts import assert_kept, visible

@@ -1,7 +1,5 @@
 """Study tables have the same numbers in terminal, Markdown, CSV and LaTeX."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

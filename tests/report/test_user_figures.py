@@ -1,7 +1,5 @@
 """User figures in reports; a report never runs the files of a run folder."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

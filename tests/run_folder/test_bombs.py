@@ -1,7 +1,5 @@
 """Compressed files that claim little and unpack to much are refused before they take memory; real files are read."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from contextlib import suppress

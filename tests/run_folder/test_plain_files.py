@@ -1,7 +1,5 @@
 """Only plain files of a run folder are read, whatever their format: no links, pipes, sockets or folders."""
 
-from __future__ import annotations
-
 import os
 import socket
 from collections.abc import Callable
@@ -69,7 +67,6 @@ def test_the_recording_of_a_run_folder_is_no_link_and_one_that_the_user_names_ma
 def test_a_scene_that_the_user_names_may_be_a_link(tmp_path: Path) -> None:
     path, content = load("baseline")
     recording = resolve(path, content, frames=1).recording
-    assert recording is not None
     recording.save(tmp_path / "scene.npz")
     (tmp_path / "link.npz").symlink_to("scene.npz")
     assert len(RecordingFile(path=str(tmp_path / "link.npz")).record(0, None)) == 1

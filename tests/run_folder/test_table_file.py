@@ -1,7 +1,5 @@
 """Rows of a long table: those of wanted frames and of an agent, whatever the footer says; others are not read."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Tables survive a round trip to a file, without loading pandas."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

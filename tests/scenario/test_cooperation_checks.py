@@ -1,7 +1,5 @@
 """Options of peers and centres without what they need are refused, with their place and the valid choice."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

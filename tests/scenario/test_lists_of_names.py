@@ -1,7 +1,5 @@
 """A list of names means exactly its members: none, one or many."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

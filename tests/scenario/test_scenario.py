@@ -14,7 +14,6 @@ from mast_zenoh.attacks import PassThrough
 from mast_zenoh.config import bundle, loading, settings
 from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, WiringError
-from mast_zenoh.pipelines import CommandCenterPipeline
 from mast_zenoh.scenario import load, resolve
 from mast_zenoh.wiring.model import Wiring
 
@@ -214,16 +213,6 @@ def test_a_setting_changes_only_one_node(tmp_path: Path) -> None:
 
 
 # -- files -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("key", ["commandcenter", "command_center"])
-def test_the_configuration_listing_of_the_paper_builds_unchanged(tmp_path: Path, key: str) -> None:
-    resolved_scenario = resolved(paper_scenario(tmp_path, key))
-    assert resolved_scenario.nodes["command_center"].type == "CommandCenter"
-    assert isinstance(
-        build_node(resolved_scenario.nodes["command_center"], "command_center").pipeline, CommandCenterPipeline
-    )
-    assert len(Run(resolved_scenario).messages["cc/picture"]) == 2
 
 
 @pytest.mark.parametrize("name", sorted(Path(name).stem for name in bundle.names("scenarios")))

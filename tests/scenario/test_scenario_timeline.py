@@ -1,7 +1,5 @@
 """Faults, links and attacks on the timeline of a scenario, also by settings."""
 
-from __future__ import annotations
-
 import json
 import logging
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A node's own message type is sent, recorded, measured and compared like a built-in type."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One attacked run of five agents, read message by message with nothing but mcap and msgpack."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -46,3 +44,11 @@ def exported_to(recorded: mast.Run, tmp_path_factory: pytest.TempPathFactory) ->
 def out(tmp_path: Path) -> Path:
     """A path for an export."""
     return tmp_path / "exported"
+
+
+@pytest.fixture(scope="session")
+def broadcast(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    """A run whose peers broadcast CPMs, one of them through an adversary."""
+    attack = dict(n_adversaries=1, attack_start_s=0.3, awareness=True)
+    out = tmp_path_factory.mktemp("broadcast") / "run"
+    return mast.run("congested", frames=12, seed=3, n_infrastructure=3, n_mobile=1, **attack, out=out)

@@ -1,7 +1,5 @@
 """HTTP requests to a server on the loopback address."""
 
-from __future__ import annotations
-
 import http.client
 
 

@@ -1,7 +1,5 @@
 """Every frame of a running run comes out once, in order, as soon as it is whole; what is missing is counted."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -170,6 +168,9 @@ def assert_recorded(live: list[Frame], folder: Path, *, measured: bool) -> None:
         assert (frame.index, frame.time_ns) == (other.index, other.time_ns)
         assert frame.objects.keys() == other.objects.keys()
         assert frame.poses.keys() == other.poses.keys()
+        assert sorted(frame.changes.sentences) == sorted(other.changes.sentences) or not measured
+        for series, score in frame.scores.items():
+            assert score[:3] == other.scores[series][:3], series
         for series, states in other.objects.items():
             assert np.array_equal(frame.objects[series].id, states.id)
             assert np.array_equal(frame.objects[series].position, states.position)

@@ -1,7 +1,5 @@
 """An export is complete or not there at all, and says what it lacks."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from pathlib import Path
@@ -11,11 +9,8 @@ from commands_in_process import command
 
 import mast_zenoh as mast
 from mast_zenoh.errors import ExportError, RunFolderError
-from mast_zenoh.viewer.export import export
+from mast_zenoh.viewer.export import export, pcap
 from mast_zenoh.viewer.formats import FORMATS, GONE
-
-#: Formats of objects; the other one has messages, see test_export_pcap.py.
-OF_OBJECTS = [name for name in FORMATS if name != "pcap"]
 
 
 @pytest.mark.parametrize(("name", "instead"), GONE.items())
@@ -40,41 +35,40 @@ def test_the_command_names_what_it_wrote_and_what_is_missing(recorded: mast.Run,
     assert (tmp_path / "mot" / "seqmap.txt").is_file()
 
 
-def test_a_damaged_recording_leaves_nothing_behind(recorded: mast.Run, tmp_path: Path) -> None:
-    folder = shutil.copytree(recorded.path, tmp_path / "copy")
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_damaged_recording_and_a_write_error_leave_nothing_behind(
+    recorded: mast.Run, broadcast: mast.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    run = broadcast if name == "pcap" else recorded
+    folder = shutil.copytree(run.path, tmp_path / "copy")
     content = bytearray((folder / "messages.mcap").read_bytes())
     content[len(content) // 2] ^= 0xFF
     (folder / "messages.mcap").write_bytes(content)
-    for name in OF_OBJECTS:
-        with pytest.raises(RunFolderError, match="a damaged chunk"):
-            export(folder, name, tmp_path / "exported")
-        assert [path.name for path in tmp_path.iterdir()] == ["copy"], name
+    with pytest.raises(RunFolderError, match="a damaged chunk"):
+        export(folder, name, tmp_path / "exported")
 
-
-def test_a_write_error_leaves_nothing_behind(
-    recorded: mast.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
+    monkeypatch.setattr(pcap, "packet", fail)
     monkeypatch.setattr("mast_zenoh.runs.recorded.read", fail)
-    for name in OF_OBJECTS:
-        with pytest.raises(mast.MastError, match="No space left on device"):
-            export(recorded.path, name, tmp_path / "exported")
-        assert list(tmp_path.iterdir()) == [], name
+    with pytest.raises(mast.MastError, match="No space left on device"):
+        export(run.path, name, tmp_path / "exported")
+    assert [path.name for path in tmp_path.iterdir()] == ["copy"]
 
 
 def test_nothing_is_overwritten(recorded: mast.Run, tmp_path: Path) -> None:
-    kept = tmp_path / "run.mcap"
-    kept.write_text("mine")
-    code, _, err = command("export", str(recorded.path), "--to", "csv", "-o", str(kept))
+    for name in ("run.mcap", "new.layout.json"):
+        (tmp_path / name).write_text("mine")
+    code, _, err = command("export", str(recorded.path), "--to", "csv", "-o", str(tmp_path / "run.mcap"))
     assert code == ExportError.exit_code
     assert "exists already: expected a new file or folder" in err
-    (tmp_path / "new.layout.json").write_text("mine")
     with pytest.raises(ExportError, match=r"new\.layout\.json: exists already"):
         export(recorded.path, "foxglove", tmp_path / "new.mcap")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["new.layout.json", "run.mcap"]
-    assert kept.read_text() == "mine"
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
+        "run.mcap": "mine",
+        "new.layout.json": "mine",
+    }
 
 
 def test_a_folder_that_does_not_exist_and_an_unknown_format_are_named(recorded: mast.Run, tmp_path: Path) -> None:
@@ -85,6 +79,12 @@ def test_a_folder_that_does_not_exist_and_an_unknown_format_are_named(recorded: 
     code, _, err = command("export", str(recorded.path), "--to", "foxgove", "-o", str(tmp_path / "run.mcap"))
     assert code == 2
     assert "did you mean 'foxglove'" in " ".join(err.replace("│", " ").split())
+    code, _, err = command("export", str(tmp_path / "nowhere"), "--to", "pcap")
+    assert code == RunFolderError.exit_code
+    assert "nowhere: no such folder" in " ".join(err.split()), "before the missing name of a file"
+    code, _, err = command("export", str(recorded.path), "--to", "pcap")
+    assert code == 2
+    assert "expected the new file or folder" in " ".join(err.split())
 
 
 @pytest.mark.parametrize(

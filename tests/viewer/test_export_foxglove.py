@@ -1,7 +1,5 @@
 """The MCAP file for Foxglove, read back by mcap and protobuf, and its layout."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections import Counter, defaultdict

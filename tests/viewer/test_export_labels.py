@@ -1,7 +1,5 @@
 """KITTI and MOTChallenge, read back by mast's reader and TrackEval."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Callable

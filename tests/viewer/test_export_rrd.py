@@ -1,7 +1,5 @@
 """The recording for the Rerun viewer, read back by Rerun's RrdReader."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path

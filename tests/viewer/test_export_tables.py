@@ -1,7 +1,5 @@
 """CSV and Parquet, read back by Python's csv module and pyarrow, hold every recorded number."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Frames of a run hold what was recorded, and what the evaluator found about it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Iterator

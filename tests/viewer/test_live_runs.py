@@ -1,7 +1,5 @@
 """A running run is measured, shown and sent to other viewers frame by frame, as it is after its end."""
 
-from __future__ import annotations
-
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -70,7 +68,6 @@ def test_outcomes_and_effects_of_a_frame_are_those_of_the_finished_run(
     measured: Measured, recorded: mast.Run, number: int
 ) -> None:
     frame = measured.frame(number)
-    assert frame is not None
     objects, attacks = (read_table(recorded.path / f"{name}.parquet") for name in ("objects", "attacks"))
     # An estimate that equals another one in this frame alone has rows of its own in the finished run.
     own = {(agent, estimator) for agent, estimator in zip(*(objects_of(frame)[n] for n in _OBJECTS[:2]), strict=True)}
@@ -95,8 +92,6 @@ def test_invalid_messages_are_counted_and_change_nothing(measured: Measured) -> 
         measured.frame(12),
         measured.frame(12, (key, Sample(12, b"\x93rubbish")), ("stranger", Sample(12, b""))),
     )
-    assert sound is not None
-    assert disturbed is not None
     assert (sound.refused, disturbed.refused) == (0, 1)
     assert rows(objects_of(sound), _OBJECTS) == rows(objects_of(disturbed), _OBJECTS)
 
@@ -123,11 +118,6 @@ def test_a_frame_is_shown_with_and_without_a_prepared_scene(recorded: mast.Run, 
             sizes.append((frame.index, len(block)))
     assert [number for number, _ in sizes] == list(NUMBERS)
     assert min(size for _, size in sizes) > 500, "with objects"
-
-
-@pytest.fixture(scope="module")
-def source(recorded: mast.Run) -> RecordedObserver:
-    return RecordedObserver(recorded.path)
 
 
 def test_the_newest_frame_of_a_run_that_ends_comes_out_even_if_it_ends_at_once(recorded: mast.Run) -> None:
@@ -161,32 +151,6 @@ def test_the_newest_frame_of_a_run_that_ends_comes_out_even_if_it_ends_at_once(r
     assert frame.objects.keys() == last.objects.keys()
     for series, states in last.objects.items():
         assert np.array_equal(frame.objects[series].position, states.position)
-
-
-def test_the_frames_of_a_running_run_are_those_of_the_finished_one(
-    source: RecordedObserver, recorded: mast.Run
-) -> None:
-    finished = open_recorded(recorded.path)
-    assert source.run.agents == finished.agents
-    assert source.run.topics == finished.topics
-    expected = {frame.index: frame for frame in frames_of(finished)}
-    live = list(Observer.frames(source, threading.Event()))  # type: ignore[arg-type]
-    assert [frame.index for frame in live] == list(NUMBERS)
-    outcomes = 0
-    for frame in live:
-        other = expected[frame.index]
-        assert frame.objects.keys() == other.objects.keys()
-        assert frame.time_ns == other.time_ns
-        for series, states in frame.objects.items():
-            assert np.array_equal(states.id, other.objects[series].id)
-            assert np.array_equal(states.position, other.objects[series].position)
-            assert frame.outcomes[series].names == other.outcomes[series].names
-            outcomes += len(states)
-        for series, score in frame.scores.items():
-            assert score[:3] == other.scores[series][:3], series
-        assert {series.estimator for series in frame.scores} >= {"local", "picture", "mission"}
-        assert sorted(frame.changes.sentences) == sorted(other.changes.sentences)
-    assert outcomes > 300
 
 
 def test_a_live_source_ends_when_it_is_stopped(recorded: mast.Run) -> None:

@@ -1,7 +1,6 @@
-"""A long run: its tables are read a part after the other, and a page holds every n-th frame."""
+"""A long run opens at once and in little memory; its page holds every n-th frame."""
 
-from __future__ import annotations
-
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,19 +8,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 from equal_runs import run_alone
-from long_run import repeated
+from long_run import SHORT_FRAMES, repeated, sparse
 
 import mast_zenoh as mast
+from mast_zenoh.config import loading
 from mast_zenoh.report.film.takes import Take
 from mast_zenoh.report.film.writing import schedule
 from mast_zenoh.report.html import write_report
 from mast_zenoh.run_folder import read_json
+from mast_zenoh.run_folder.recording.reader import read
+from mast_zenoh.run_folder.tables import TableFile, read_table
 from mast_zenoh.runs import files as run_files
 from mast_zenoh.runs.recorded import frames_of, open_recorded
 from mast_zenoh.runs.run import Run
+from mast_zenoh.scenes import recording as recording_module
+from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.page.columns import unpack
 
+opening = loading.module(Path(__file__).parents[2] / "benchmarks" / "opening.py")
 EVERY = 4
 
 #: Writes the page of a run and prints its peak memory, KiB (`ru_maxrss` would be that of the parent, too).
@@ -45,10 +50,7 @@ def test_of_a_long_run_every_nth_frame_is_shown_and_peaks_stay(long: Path) -> No
     run = Run(long)
     whole = run.with_(sample=run_files.ALL)
     assert run.files.sample.step == EVERY
-    blocks = [run_block(each) for each in (run, whole)]
-    assert blocks[0] is not None
-    assert blocks[1] is not None
-    (header, columns), (_, every) = (unpack(block) for block in blocks if block)
+    (header, columns), (_, every) = (unpack(run_block(each)) for each in (run, whole))
     frames = header["frames"]
     assert header["numbers"] == [0, EVERY]
     np.testing.assert_allclose(columns["time"], every["time"][::EVERY])
@@ -74,20 +76,14 @@ def test_a_run_with_many_boxes_is_long_too(recorded: mast.Run, monkeypatch: pyte
 
 def test_events_of_a_long_run_have_their_own_time(long: Path) -> None:
     run = Run(long)
-    block, whole = run_block(run), run_block(Run(long, 1))
-    assert block is not None
-    assert whole is not None
-    header = unpack(block)[0]
-    assert run.attack_frames is not None
+    header = unpack(run_block(run))[0]
     first = next(event for event in header["events"] if event["kind"] == "effect")
     assert first["time"] == pytest.approx(run.attack_frames[0] * run.period_s)
     assert first["frame"] == run.attack_frames[0] // EVERY
 
 
 def test_a_frame_that_is_asked_for_is_among_those_of_a_long_run(long: Path) -> None:
-    block = run_block(Run(long, 7), 7)
-    assert block is not None
-    header = unpack(block)[0]
+    header = unpack(run_block(Run(long, 7), 7))[0]
     first, every = header["numbers"]
     assert first + every * header["frame"] == 7
     with pytest.raises(ValueError, match=r"found frame 6, expected one of 3, 7, \.\.\."):
@@ -143,3 +139,49 @@ def test_a_film_of_a_long_run_ends_by_itself(recorded: mast.Run, monkeypatch: py
     take = Take(Run(recorded.path), "picture")
     assert list(schedule(take, 5, None, 1.0, None).frames) == [*range(5, 17)]
     assert list(schedule(take, 5, 25, 1.0, None).frames) == [*range(5, 26)]
+
+
+def test_frames_of_a_sparse_run_are_those_of_its_whole_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = 3 * SHORT_FRAMES
+    folder = sparse(tmp_path / "run", frames, 4)
+    run = mast.open(folder)
+    assert run.status == "ok"
+    assert run.agents == ("ego", "infra_1", "infra_2", "infra_3")
+    assert "infra_1" in run.report().read_text("utf-8")
+    assert [message.frame for message in read(folder)] == list(range(frames))
+    for name in ("metrics", "objects", "attacks"):
+        file, whole = TableFile(folder / f"{name}.parquet"), read_table(folder / f"{name}.parquet")
+        first, last = int(whole["frame"].min()), int(whole["frame"].max())
+        assert last == frames - 1
+        for frame in (first, SHORT_FRAMES, last):
+            rows = file.rows(list(whole), range(frame, frame + 1))
+            assert len(rows["frame"]) > 0 or frame == SHORT_FRAMES
+            for column, values in rows.items():
+                np.testing.assert_array_equal(values, whole[column][whole["frame"] == frame])
+    monkeypatch.setattr(recording_module, "MAPPED_BYTES", 0)
+    opened, loaded = Recording.open(folder / "scene.npz"), Recording.load(folder / "scene.npz")
+    assert len(loaded) == frames
+    for frame in range(frames):
+        np.testing.assert_array_equal(opened.truth_at(frame).position, loaded.truth_at(frame).position)
+        np.testing.assert_array_equal(
+            opened.detections_at(frame, 2).covariance, loaded.detections_at(frame, 2).covariance
+        )
+
+
+def test_a_report_with_a_scene_that_stays_in_its_file_equals_that_with_one_in_memory(
+    recorded: mast.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = mast.open(shutil.copytree(recorded.path, tmp_path / "run"))
+    in_memory = run.report().read_text("utf-8")
+    monkeypatch.setattr(recording_module, "MAPPED_BYTES", 0)
+    assert run.report().read_text("utf-8") == in_memory
+
+
+@pytest.mark.heavy
+@pytest.mark.timeout(600)  # a minute of writing
+def test_a_run_of_10_000_frames_and_100_agents_opens_in_half_a_second_and_300_mb(tmp_path: Path) -> None:
+    folder = sparse(tmp_path / "run", 10_000, 100)
+    steps = opening.measure(folder, 5000)
+    steps.pop("imports")
+    assert sum(processor for _, processor, _ in steps.values()) < 0.5
+    assert max(peak for _, _, peak in steps.values()) < 300

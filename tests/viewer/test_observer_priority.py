@@ -1,7 +1,5 @@
 """An observer gives way to the nodes of a run while that is running, and no longer."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -58,7 +56,6 @@ def test_who_waits_for_an_observer_gives_it_its_priority_back() -> None:
         env=environment(),
         start_new_session=True,
     ) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == b"yields\n"
         before = state_of(process.pid)
         priority.restore(process.pid, os.getpriority(os.PRIO_PROCESS, 0))

@@ -1,7 +1,5 @@
 """The unit tests of the page's JavaScript, in tests/viewer/page, pass."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The colours of states can be told apart, with and without a colour-vision deficiency."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

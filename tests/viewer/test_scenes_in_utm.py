@@ -1,7 +1,5 @@
 """A scene in UTM coordinates is driven, sent by radio and exported as if it were at the origin of the world."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`mast view` refuses options that do not fit a run, and names what serves instead of servers that there were."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

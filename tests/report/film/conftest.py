@@ -1,7 +1,5 @@
 """One attacked run of five agents, its unattacked and shorter twin, and a copy with a live interception."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

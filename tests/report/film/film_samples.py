@@ -1,7 +1,5 @@
 """The frames of the runs of which tests make films, their figures, and rows of their tables."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable, Iterator
 from pathlib import Path

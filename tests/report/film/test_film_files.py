@@ -1,7 +1,5 @@
 """Files of films and stills, read back by other programs."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Invalid options name what was found, where, and what was expected; nothing is written."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What films draw is what was recorded."""
 
-from __future__ import annotations
-
 import json
 import math
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Recordings of synthetic messages."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Error messages and run.json about lost nodes."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

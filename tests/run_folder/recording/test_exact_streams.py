@@ -1,7 +1,5 @@
 """Runs in one process are byte-identical under irrelevant changes."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import tarfile

@@ -1,7 +1,5 @@
 """The error for a run without a recording names the command that gives one."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

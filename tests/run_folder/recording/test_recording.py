@@ -1,7 +1,5 @@
 """A recording holds every byte sent, in order, up to its last whole chunk."""
 
-from __future__ import annotations
-
 import json
 import os
 import random
@@ -62,9 +60,15 @@ def test_messages_of_some_frames_and_wires_are_those_among_all(
         assert some == [each for each in every if each.frame in frames], "channels of skipped chunks are known"
 
 
-def test_messages_of_one_frame_on_one_wire_keep_their_sequence_order(tmp_path: Path) -> None:
+def test_messages_of_one_frame_on_one_wire_keep_their_sequence_order_and_duplicates_that_of_arrival(
+    tmp_path: Path,
+) -> None:
     sent = [("agent/a/status", payload("agent/a/status", 3, seq=seq)) for seq in (2**40, 0, 7, 2)]
     assert [message.seq for message in read(write(tmp_path / "run.mcap", sent))] == [0, 2, 7, 2**40]
+    sent = [("clock", payload("clock", 0)), ("agent/a/status", payload("agent/a/status", 0))]
+    twice = payload("agent/a/status", 0, {name: [9] for name in ("mobile", "detections", "tracks")})
+    messages = list(read(write(tmp_path / "twice.mcap", [*sent, ("agent/a/status", twice)])))
+    assert [message.payload for message in messages] == [sent[1][1], twice, sent[0][1]]
 
 
 def test_a_key_added_later_is_recorded_like_the_others(tmp_path: Path) -> None:
@@ -153,19 +157,11 @@ def test_invalid_metadata_is_refused_with_its_fault(tmp_path: Path, name: str, m
         list(read(path))
 
 
-def test_duplicates_are_kept_in_their_order_of_arrival(tmp_path: Path) -> None:
-    sent = [("clock", payload("clock", 0)), ("agent/a/status", payload("agent/a/status", 0))]
-    twice = payload("agent/a/status", 0, {name: [9] for name in ("mobile", "detections", "tracks")})
-    messages = list(read(write(tmp_path / "run.mcap", [*sent, ("agent/a/status", twice)])))
-    assert [message.payload for message in messages] == [sent[1][1], twice, sent[0][1]]
-
-
 def test_other_readers_understand_channels_metadata_and_schemas(tmp_path: Path) -> None:
     with write(tmp_path / "run.mcap", small_run()).open("rb") as file:
         reader = make_reader(file)
         summary = reader.get_summary()
         messages = list(reader.iter_messages())
-    assert summary is not None
     channels = {channel.topic: channel for channel in summary.channels.values()}
     assert channels.keys() == HEARS.keys()
     assert channels[TAP].metadata == {
@@ -268,15 +264,6 @@ def test_a_chunk_with_an_impossible_size_is_refused_before_it_is_unpacked(
     with pytest.raises(RunFolderError, match=r"run\.mcap: byte \d+: a damaged chunk: found \d+ bytes, expected"):
         list(read(path))
     unpacked.assert_not_called()
-
-
-def test_a_damaged_chunk_is_named(tmp_path: Path) -> None:
-    path = write(tmp_path / "run.mcap", small_run())
-    data = bytearray(path.read_bytes())
-    data[200] ^= 0xFF
-    path.write_bytes(data)
-    with pytest.raises(RunFolderError, match=r"run\.mcap: byte \d+: a damaged chunk"):
-        list(read(path))
 
 
 @pytest.mark.parametrize("kind", [*range(1, 6), *range(7, 18), 255])

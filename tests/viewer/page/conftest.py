@@ -1,7 +1,5 @@
 """One attacked and defended run, shared by all tests of the moving picture."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path

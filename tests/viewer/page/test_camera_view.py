@@ -1,7 +1,5 @@
 """The camera view draws what the recorded camera would see, also of what is beside or behind it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
@@ -59,7 +57,6 @@ class RecordedCamera:
     """The camera of an agent in a frame, from the recording alone."""
 
     def __init__(self, run: Run, agent: str, frame: int) -> None:
-        assert run.files.scene is not None
         index = run.files.scene.agent_names.index(agent)
         self.camera = run.files.scene.agents[index].camera
         self.object = run.files.scene.agents[index].object_id
@@ -138,7 +135,6 @@ def test_boxes_are_projected_as_the_recorded_camera_does(
 def test_places_around_a_camera_never_fold_over(report: Path, loaded_run: Run, open_page: OpenPage) -> None:
     page = open_page(report)
     block = run_block(loaded_run)
-    assert block is not None
     header, columns = unpack(block)
     rng = np.random.default_rng(5)
     for index, agent in enumerate(header["agents"]):

@@ -1,7 +1,5 @@
 """Partitions are visible as cut links, and two runs are played to the end of the longer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

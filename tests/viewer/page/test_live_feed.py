@@ -1,12 +1,15 @@
-"""Pages of a running run get its newest frames; a page that does not read holds back nothing."""
-
-from __future__ import annotations
+"""Pages of a running run get its newest frames; one that does not read, or leaves rudely, holds back nothing."""
 
 import json
+import logging
 import socket
-from collections.abc import Iterator
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from enum import Enum
 
 import pytest
+from launched import eventually
 from own_requests import answer
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
@@ -25,7 +28,6 @@ def server() -> Iterator[LiveServer]:
 def test_a_slow_listener_keeps_the_newest_frames_and_is_told_how_many_it_missed() -> None:
     feed = Feed()
     with feed.listener() as listener:
-        assert listener is not None
         for number in range(10):
             feed.publish(LASTING, bytes([number]))
         messages, more = listener.take(9, 1.0)
@@ -38,7 +40,6 @@ def test_a_slow_listener_keeps_the_newest_frames_and_is_told_how_many_it_missed(
 def test_a_frame_never_meets_the_header_of_another_one() -> None:
     feed = Feed()
     with feed.listener() as listener:
-        assert listener is not None
         feed.publish(LASTING, b"old")
         feed.publish({"label": "rewired"}, b"new")
         messages, _ = listener.take(9, 1.0)
@@ -50,7 +51,6 @@ def test_a_frame_never_meets_the_header_of_another_one() -> None:
 def test_notes_reach_pages_also_if_no_frame_does() -> None:
     feed = Feed()
     with feed.listener() as early:
-        assert early is not None
         for _ in range(2):
             feed.note(["frame 0 cannot be shown"])
         messages, _ = early.take(9, 1.0)
@@ -58,12 +58,10 @@ def test_notes_reach_pages_also_if_no_frame_does() -> None:
             {"kind": "notes", "notes": ["frame 0 cannot be shown"]}
         ]
     with feed.listener() as late:
-        assert late is not None
         assert late.take(9, 1.0)[0] == messages
     feed.publish(LASTING, b"frame")
     feed.note(["another"])
     with feed.listener() as latest:
-        assert latest is not None
         kinds = [json.loads(each)["kind"] for each in latest.take(9, 1.0)[0] if isinstance(each, str)]
     assert kinds == ["lasting", "notes"], "the header first"
 
@@ -73,7 +71,6 @@ def test_a_page_that_opens_late_gets_the_newest_frame_and_the_end() -> None:
     feed.publish(LASTING, b"frame")
     feed.close(reload=True)
     with feed.listener() as listener:
-        assert listener is not None
         messages, more = listener.take(9, 1.0)
     assert not more
     assert messages[1] == b"frame"
@@ -139,3 +136,82 @@ def test_a_page_that_confirms_nothing_gets_two_frames_and_is_waited_for_by_nobod
         told = [page.recv(timeout=20) for _ in range(2)]
         assert json.loads(told[0])["kind"] == "dropped"
         assert told[1] == b"later frame"
+
+
+class Step(Enum):
+    """What a peer does besides sending: reads some bytes, or all; or closes without a farewell, as a killed browser."""
+
+    READ, READ_ALL, RESET = range(3)
+
+
+_PAGE, _SOCKET = ("GET " + path + " HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n" for path in ("/", FRAMES))
+_UPGRADE = (
+    f"{_SOCKET}Upgrade: websocket\r\nConnection: Upgrade\r\n"
+    "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
+)
+PEERS: dict[str, list[str | Step]] = {
+    "says nothing": [],
+    "resets at once": [Step.RESET],
+    "sends garbage": ["\x16\x03\x01\x02\x00\x01\xff\r\n\r\n" * 50],
+    "posts": [_PAGE.replace("GET", "POST") + "Content-Length: 0\r\n\r\n", Step.READ_ALL],
+    "sends many headers": ["HEAD / HTTP/1.1\r\n" + "a: b\r\n" * 1000],
+    "leaves in the handshake": [_UPGRADE],
+    "leaves after the request": [f"{_UPGRADE}\r\n", Step.RESET],
+    "asks without an upgrade": [f"{_SOCKET}\r\n", Step.READ_ALL],
+    "leaves while the page loads": [f"{_PAGE}\r\n", Step.READ, Step.RESET],
+    "sends garbage on the socket": [f"{_UPGRADE}\r\n", Step.READ, "\xff" * 200, Step.READ_ALL],
+}
+
+
+def visit(server: LiveServer, steps: list[str | Step]) -> None:
+    with socket.create_connection(("127.0.0.1", server.port), timeout=10.0) as peer:
+        for step in steps:
+            if isinstance(step, str):
+                peer.sendall(step.replace("{port}", str(server.port)).encode("latin-1"))
+            elif step is Step.RESET:
+                reset(peer)
+            else:
+                while peer.recv(4096) and step is Step.READ_ALL:
+                    pass
+
+
+def reset(peer: socket.socket) -> None:
+    peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    peer.close()
+
+
+def sends_a_long_message(server: LiveServer) -> None:
+    with connect(f"ws://127.0.0.1:{server.port}{FRAMES}", compression=None) as page:
+        page.send(bytes(100_000))
+
+
+def closes_the_tab(server: LiveServer) -> None:
+    with connect(f"ws://127.0.0.1:{server.port}{FRAMES}", compression=None):
+        pass
+
+
+def is_killed_while_frames_arrive(server: LiveServer) -> None:
+    page = connect(f"ws://127.0.0.1:{server.port}{FRAMES}", compression=None)
+    eventually(lambda: server.feed.is_wanted, "the page waits for frames")
+    server.feed.publish({"id": "run-1", "number": 1}, bytes(1_000_000))
+    page.recv(timeout=10.0)
+    reset(page.socket)
+
+
+VISITS: dict[str, Callable[[LiveServer], None]] = {
+    **{name: lambda server, steps=steps: visit(server, steps) for name, steps in PEERS.items()},
+    **{each.__name__: each for each in (sends_a_long_message, closes_the_tab, is_killed_while_frames_arrive)},
+}
+
+
+@pytest.mark.parametrize("name", VISITS)
+def test_a_visit_prints_nothing(name: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    # as in the program, which sets up no logging: warnings and errors go to the terminal
+    monkeypatch.setattr(logging.root, "handlers", [])
+    before = set(threading.enumerate())
+    with LiveServer("a run", Feed()) as server:
+        VISITS[name](server)
+        with connect(f"ws://127.0.0.1:{server.port}{FRAMES}", compression=None) as page:
+            page.ping().wait(10.0)
+    eventually(lambda: set(threading.enumerate()) <= before, "every connection is over", 30)
+    assert capfd.readouterr() == ("", "")

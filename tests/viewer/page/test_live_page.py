@@ -1,7 +1,5 @@
 """The page of a running run follows it over lost connections, to its end, and while it is paused."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path

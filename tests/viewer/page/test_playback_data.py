@@ -1,7 +1,5 @@
 """The data block of the moving picture holds what the run recorded."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +17,6 @@ Block = tuple[dict, dict[str, NDArray[np.float64]]]
 @pytest.fixture(scope="module")
 def block(loaded_run: Run) -> Block:
     data = run_block(loaded_run)
-    assert data is not None
     return unpack(data)
 
 
@@ -76,7 +73,6 @@ def test_velocities_and_covariances_come_from_the_messages(block: Block, loaded_
     assert columns["box.known"].all(), "every track of this run was recorded"
     truth = columns["box.truth"] > 0
     recording = loaded_run.files.scene
-    assert recording is not None
     frames = np.repeat(np.arange(len(recording)), np.diff(recording.truth_start))
     order, own = np.lexsort((recording.truth.id, frames)), np.lexsort((columns["box.id"], columns["box.frame"]))
     own = own[truth[own]]
@@ -114,11 +110,9 @@ def test_manipulations_states_and_series_are_those_of_the_tables(block: Block, a
 
 def test_an_undecided_agent_keeps_its_state_while_it_lies_and_while_it_is_down(attacked_run: Path) -> None:
     run = Run(attacked_run)
-    assert run.files.trust is not None
     run.files.trust["state"] = np.full(len(run.files.trust["frame"]), "undecided", object)
     run.files.record["steps"] = [{"node": "infra_1", "frame": 30, "action": "stop"}]
     data = run_block(run)
-    assert data is not None
     header, columns = unpack(data)
     state = columns["agents.state"].reshape(-1, header["frames"]).astype(int)
     judged = state[:, int(run.files.trust["frame"].min()) :]

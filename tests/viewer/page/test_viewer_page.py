@@ -1,7 +1,5 @@
 """The viewer in a browser: what it draws is what was recorded, and all its controls work."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable
