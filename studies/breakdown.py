@@ -56,7 +56,7 @@ def study(
     scenes: short names, separated by commas: intersection:INDEX; trials: seeds of each scene; seed: the first one;
     frames: of each run.
     """
-    chosen = with_preset(PRESETS, preset, agents=agents, shares=shares, scenes=scenes, trials=trials, frames=frames)
+    chosen = with_preset(PRESETS, **locals())
     common = dict(defence=defence, placement="random", attack_start_s=attack_start_s)
     runs = {}
     for count in several(chosen["agents"]):
@@ -75,7 +75,6 @@ def study(
         name="breakdown",
         kind=Breakdown,
         runs=runs,
-        baseline=next(iter(runs)),
         per_trial=dict(seed="placement_seed", frames="placement_frames"),
         scenes=words(chosen["scenes"]),
         trials=chosen["trials"],

@@ -41,7 +41,7 @@ def study(
     n_adversaries: poles that lie; scenes: short names, separated by commas: intersection:INDEX;
     trials: seeds of each scene; seed: the first one; frames: of each run; attack_start_s: when the lies begin.
     """
-    chosen = with_preset(PRESETS, preset, agents=agents, scenes=scenes, trials=trials)
+    chosen = with_preset(PRESETS, **locals())
     lies = dict(n_adversaries=n_adversaries, attack_start_s=attack_start_s)
     runs = {}
     for count in several(chosen["agents"]):
@@ -58,7 +58,6 @@ def study(
         name="cooperation",
         kind=Cooperation,
         runs=runs,
-        baseline=next(iter(runs)),
         scenes=words(chosen["scenes"]),
         trials=chosen["trials"],
         frames=frames,

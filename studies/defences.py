@@ -1,12 +1,23 @@
 """Every defence against every adversary, with 0 to n - 1 adversaries."""
 
-from mast_zenoh.study.defences import junctions, matrix_study, parse_choices, several, with_preset, words
+from mast_zenoh.study.defences import junctions, matrix_study, parse_choices, with_preset, words
 from mast_zenoh.study.defences.matrix import DefenceMatrix
 
 # Adversaries that know the defence.
 ADAPTIVE = "BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,Replay,GhostAhead,StatePerturbation,PoseDrift"
 
 # docs/defence_studies.md says what each one is for, and how long it takes.
+# The best of them: what the presets after full have, unless they say otherwise.
+ONE = dict(
+    defences="FaultOrLie",
+    counts=(1, 2),
+    placements="random,worst",
+    budgets=(1.0, 4.0),
+    scenes=junctions(8, 15),
+    trials=3,
+    frames=150,
+)
+FAULTS = "fault:pose,fault:delay,fault:skew,fault:loss,fault:blind,fault:ghosts"
 PRESETS = dict(
     quick=dict(
         defences="NoIntegrity,KOfN,Mate,FaultOrLie",
@@ -21,7 +32,7 @@ PRESETS = dict(
     full=dict(
         defences="NoIntegrity,KOfN,Plausibility,Mate,FreeSpace,RobustFusion,SequentialConsistency,TruthDiscovery,FaultOrLie,"
         "Robosac,Pasac,Made,Prbi,PoseGuard,Cad",
-        adversaries=f"coordinated,{ADAPTIVE},fault:pose,fault:delay,fault:skew,fault:loss,fault:blind,fault:ghosts",
+        adversaries=f"coordinated,{ADAPTIVE},{FAULTS}",
         counts=(1, 2, 3, 4),
         placements="random,worst",
         budgets=(1.0, 4.0),
@@ -29,56 +40,11 @@ PRESETS = dict(
         trials=5,
         frames=150,
     ),
-    today=dict(
-        defences="FaultOrLie",
-        adversaries="coordinated,uncoordinated",
-        counts=(1, 2),
-        placements="poles,random",
-        budgets=(1.0, 4.0),
-        scenes=junctions(8, 15),
-        trials=3,
-        frames=150,
-    ),
-    alarms=dict(
-        defences="FaultOrLie",
-        adversaries="",
-        counts=(1, 2),
-        placements="random",
-        budgets=(1.0, 4.0),
-        scenes=junctions(8, 27),
-        trials=9,
-        frames=600,
-    ),
-    faults=dict(
-        defences="FaultOrLie",
-        adversaries="fault:pose,fault:delay,fault:skew,fault:loss,fault:blind,fault:ghosts",
-        counts=(1,),
-        placements="random",
-        budgets=(1.0, 4.0),
-        scenes=junctions(8, 15),
-        trials=9,
-        frames=300,
-    ),
-    framing=dict(
-        defences="FaultOrLie",
-        adversaries="Framing",
-        counts=(1, 2),
-        placements="random,worst",
-        budgets=(4.0,),
-        scenes=junctions(8, 15),
-        trials=9,
-        frames=150,
-    ),
-    adaptive=dict(
-        defences="FaultOrLie",
-        adversaries=ADAPTIVE,
-        counts=(1, 2),
-        placements="random,worst",
-        budgets=(1.0, 4.0),
-        scenes=junctions(8, 15),
-        trials=3,
-        frames=150,
-    ),
+    today=ONE | dict(adversaries="coordinated,uncoordinated", placements="poles,random"),
+    alarms=ONE | dict(adversaries="", placements="random", scenes=junctions(8, 27), trials=9, frames=600),
+    faults=ONE | dict(adversaries=FAULTS, counts=(1,), placements="random", trials=9, frames=300),
+    framing=ONE | dict(adversaries="Framing", budgets=(4.0,), trials=9),
+    adaptive=ONE | dict(adversaries=ADAPTIVE),
 )
 
 
@@ -114,27 +80,12 @@ def study(
     adversaries, fault:pose stands for as many faulty agents and no liars;
     metrics: of your own, named as defences are.
     """
-    chosen = with_preset(
-        PRESETS,
-        preset,
-        defences=defences,
-        adversaries=adversaries,
-        counts=counts,
-        placements=placements,
-        budgets=budgets,
-        scenes=scenes,
-        trials=trials,
-        frames=frames,
-    )
+    chosen = with_preset(PRESETS, **locals())
     return dict(
         name="defences",
         kind=DefenceMatrix,
         **matrix_study(
-            defences=parse_choices(chosen["defences"], "defences"),
-            adversaries=parse_choices(chosen["adversaries"], "adversaries"),
-            counts=several(chosen["counts"]),
-            placements=words(chosen["placements"]),
-            budgets=several(chosen["budgets"]),
+            **{name: chosen[name] for name in ("defences", "adversaries", "counts", "placements", "budgets")},
             parameters=dict(
                 knowledge=knowledge,
                 fault=fault,

@@ -35,7 +35,7 @@ def study(
     scenes: short names, separated by commas: intersection:INDEX; trials: seeds of each scene; seed: the first one;
     frames: of each run, long enough to watch what nobody notices at first.
     """
-    chosen = with_preset(PRESETS, preset, scenes=scenes, trials=trials)
+    chosen = with_preset(PRESETS, **locals())
     lies = [(offset, None) for offset in several(offsets_m)] + [(limit_m, rate) for rate in several(rates_mps)]
     common = dict(
         defence=defence,
@@ -61,7 +61,6 @@ def study(
         name="drift",
         kind=Drift,
         runs=runs,
-        baseline=next(iter(runs)),
         per_trial=dict(seed="placement_seed", frames="placement_frames"),
         scenes=words(chosen["scenes"]),
         trials=chosen["trials"],

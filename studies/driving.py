@@ -62,7 +62,7 @@ def study(
     frames: of each run; attack_start_s: when all attacks begin; driver: of the ego, None: FollowingDriver with the
     constants of PDM-Closed; metrics: of your own, separated by commas: classes or files.
     """
-    chosen = with_preset(PRESETS, preset, attacks=attacks, scenes=scenes, trials=trials)
+    chosen = with_preset(PRESETS, **locals())
     common = dict(
         driver=DRIVER if driver is None else driver,
         attack_start_s=attack_start_s,

@@ -1,14 +1,6 @@
 """Published and own defences against published and own attacks, by kind of scene."""
 
-from mast_zenoh.study.defences import (
-    junctions,
-    matrix_study,
-    parse_choices,
-    scenes_of_kinds,
-    several,
-    with_preset,
-    words,
-)
+from mast_zenoh.study.defences import junctions, matrix_study, parse_choices, scenes_of_kinds, with_preset
 from mast_zenoh.study.defences.field_matrix import FieldMatrix
 
 # Stages of the command centre; those after published defences last.
@@ -58,17 +50,12 @@ def study(
     attack_start_s: when all attacks begin, also those with a start_s of their own;
     metrics: of your own, named as defences are.
     """
-    chosen = with_preset(
-        PRESETS, preset, defences=defences, adversaries=adversaries, kinds=kinds, counts=counts, trials=trials
-    )
+    chosen = with_preset(PRESETS, **locals())
     return dict(
         name="matrix",
         kind=FieldMatrix,
         **matrix_study(
-            defences=parse_choices(chosen["defences"], "defences"),
-            adversaries=parse_choices(chosen["adversaries"], "adversaries"),
-            counts=several(chosen["counts"]),
-            placements=words(placements),
+            **{name: chosen[name] for name in ("defences", "adversaries", "counts", "placements")},
             budgets=[None],
             parameters=dict(
                 knowledge="trust", attack_start_s=attack_start_s, metrics=parse_choices(metrics or "", "metrics")

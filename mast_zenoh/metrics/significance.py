@@ -6,12 +6,12 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from typing import TypeVar
 
-from mast_zenoh.metrics.study_results import LEVEL, SeriesEstimate, Statistic
+from mast_zenoh.metrics.study_results import LEVEL, Statistic
 
 Effect = TypeVar("Effect", bound=Hashable)
 
 
-def clearest(effects: Mapping[Effect, SeriesEstimate | Statistic]) -> list[Effect]:
+def clearest(effects: Mapping[Effect, Statistic]) -> list[Effect]:
     """The effects that differ from 0 if all are read together (Holm), the clearest first: that with the smallest p.
 
     With equal numbers of seeds, this is the largest |t|. Effects without spread have no p-value and are left out.
@@ -19,11 +19,7 @@ def clearest(effects: Mapping[Effect, SeriesEstimate | Statistic]) -> list[Effec
     tested = {name: each for name, each in effects.items() if not math.isnan(each.p)}
     adjusted = zip(tested, holm([each.p for each in tested.values()]), strict=True)
     shown = [name for name, p in adjusted if p <= LEVEL]
-    return sorted(shown, key=lambda name: (tested[name].p, -abs(_mean(tested[name]))))
-
-
-def _mean(each: SeriesEstimate | Statistic) -> float:
-    return each.trial_mean if isinstance(each, SeriesEstimate) else each.value
+    return sorted(shown, key=lambda name: (tested[name].p, -abs(tested[name].value)))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -29,67 +29,83 @@ class StudySeries(NamedTuple):
     metric: str
 
 
-@dataclass(frozen=True, slots=True)
-class SeriesEstimate:
-    """One series of one configuration; unknown numbers are NaN.
+#: How intervals were computed, see `study.defences.intervals`; or that there is none, as most differences are 0.
+STUDENT, BOOTSTRAP, POISSON, BINOMIAL = "Student's t", "bootstrap over trials", "exact Poisson", "exact binomial"
+MOSTLY_ZERO = "none: mostly 0"
 
+
+class Statistic(NamedTuple):
+    """A number over trials with its 95 % interval. NaN: unknown; infinite: beyond what was watched.
+
+    value, low, high: of means, over the trials of `seeds` seeds in `scenes` scenes, each paired with its baseline: over
+               seeds of these scenes; without bounds for fewer than five seeds, or equal ones
+    trials:    number of trials behind it;  left_out: of those without it, because they failed or have no value
+    interval:  how the bounds were computed: STUDENT, BOOTSTRAP, POISSON, BINOMIAL; MOSTLY_ZERO or "" without bounds
+    p:         p-value of no difference, over seeds; of differences only: of Student's t, or where most are 0 of an
+               exact sign test; NaN where all are equal
     mean, std: over the frames of all trials, as in the paper; std is NaN for metrics of whole runs
-    trial_mean, low, high: mean over the trials of `seeds` seeds in `scenes` scenes, each paired with its baseline, and
-               its 95 % interval over seeds of these scenes; without bounds for fewer than five seeds, or equal ones
     scenes_low, scenes_high: 95 % interval to other scenes as well; for five scenes and more
-    p:         p-value of no difference from the baseline, over seeds; of increments only: of Student's t, or where
-               most are 0 of an exact sign test; NaN where all are equal
-    zero_share, zero_low, zero_high: share of trials in which an increment is 0, and its exact 95 % interval
-    left_out:  number of seeds left out of the trial statistics, because a trial failed or has no value
+    zero_share, zero_low, zero_high: share of trials in which a difference is 0, and its exact 95 % interval
     rate:      whether it is a success rate, from trials that are 0 or 1
     """
 
-    mean: float = NAN
-    std: float = NAN
-    trial_mean: float = NAN
+    value: float = NAN
     low: float = NAN
     high: float = NAN
+    trials: int = 0
+    left_out: int = 0
+    interval: str = ""
+    p: float = NAN
+    mean: float = NAN
+    std: float = NAN
     scenes_low: float = NAN
     scenes_high: float = NAN
-    p: float = NAN
     zero_share: float = NAN
     zero_low: float = NAN
     zero_high: float = NAN
     scenes: int = 0
     seeds: int = 0
-    left_out: int = 0
     rate: bool = False
 
     @property
-    def value(self) -> float:
-        """The mean over trials."""
-        return self.trial_mean
+    def known(self) -> bool:
+        """Whether there is a value, infinite or not."""
+        return not math.isnan(self.value)
+
+    def seeds_left_out(self, planned: int) -> int:
+        """How many of the planned seeds are left out; 0 if no trial has a value."""
+        return planned - self.seeds if self.scenes else 0
 
     @property
     def mostly_zero(self) -> bool:
-        """Whether an increment is 0 in most trials, of at least five seeds, so that its mean has no interval."""
+        """Whether a difference is 0 in most trials, of at least five seeds, so that its mean has no interval."""
         return self.seeds >= MIN_SEEDS and self.zero_share > MOSTLY
 
     @property
     def unchanged(self) -> bool:
-        """Whether an increment is 0 in every trial, of at least five seeds."""
+        """Whether a difference is 0 in every trial, of at least five seeds."""
         return self.seeds >= MIN_SEEDS and self.is_zero
 
     @property
     def is_zero(self) -> bool:
-        """Whether an increment is 0 in every trial."""
+        """Whether a difference is 0 in every trial."""
         return self.zero_share == 1.0
 
     @property
     def certain(self) -> bool:
-        """Whether an increment is equal in every seed and not 0, so without interval."""
-        known = self.seeds >= MIN_SEEDS and abs(self.trial_mean) > NEGLIGIBLE
+        """Whether a difference is equal in every seed and not 0, so without interval."""
+        known = self.seeds >= MIN_SEEDS and abs(self.value) > NEGLIGIBLE
         return known and math.isnan(self.low) and not self.mostly_zero
 
     @property
     def differs(self) -> bool:
-        """Whether an increment, taken alone, differs from 0: by its test, or because it is the same in all seeds."""
-        return self.p < LEVEL or self.certain
+        """Whether a test says so; without one, whether the interval does not contain 0."""
+        return self.p <= LEVEL if not math.isnan(self.p) else self.low > 0.0 or self.high < 0.0
+
+    @property
+    def seen(self) -> bool:
+        """Whether a difference, taken alone, differs from 0: by its test, or because it is the same in all seeds."""
+        return self.p <= LEVEL or self.certain
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +119,7 @@ class StudyRow:
     label: str
     run: str
     point: Mapping[str, object]
-    estimates: Mapping[StudySeries, SeriesEstimate]
+    estimates: Mapping[StudySeries, Statistic]
     ego: str = "ego"
 
     @property
@@ -115,9 +131,9 @@ class StudyRow:
             else self.label
         )
 
-    def get(self, metric: str, estimator: str = "picture", owner: str | None = None) -> SeriesEstimate:
+    def get(self, metric: str, estimator: str = "picture", owner: str | None = None) -> Statistic:
         """The estimate of a series, by default of the ego; all NaN if there is none."""
-        return self.estimates.get(StudySeries(owner or self.ego, estimator, metric), SeriesEstimate())
+        return self.estimates.get(StudySeries(owner or self.ego, estimator, metric), Statistic())
 
 
 def shares(row: StudyRow, outcome: str, estimator: str = "picture") -> dict[str, float]:
@@ -263,52 +279,20 @@ class AgentTrustSeries:
     faults: Sequence[tuple[str, float, float]]
 
 
-#: How intervals were computed, see `study.defences.intervals`; or that there is none, as most differences are 0.
-STUDENT, BOOTSTRAP, POISSON, BINOMIAL = "Student's t", "bootstrap over trials", "exact Poisson", "exact binomial"
-MOSTLY_ZERO = "none: mostly 0"
-
-
-class Statistic(NamedTuple):
-    """A number over trials with its 95 % interval. NaN: unknown; infinite: beyond what was watched.
-
-    trials:   number of trials behind it;  left_out: of those without it, because they failed or have no value
-    interval: how the bounds were computed: STUDENT, BOOTSTRAP, POISSON, BINOMIAL; MOSTLY_ZERO or "" without bounds
-    p:        of a difference, as in `SeriesEstimate`
-    """
-
-    value: float = NAN
-    low: float = NAN
-    high: float = NAN
-    trials: int = 0
-    left_out: int = 0
-    interval: str = ""
-    p: float = NAN
-
-    @property
-    def known(self) -> bool:
-        """Whether there is a value, infinite or not."""
-        return not math.isnan(self.value)
-
-    @property
-    def differs(self) -> bool:
-        """Whether a test says so, as in `SeriesEstimate`; without one, whether the interval does not contain 0."""
-        return self.p <= LEVEL if not math.isnan(self.p) else self.low > 0.0 or self.high < 0.0
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
     """Numbers over the trials of one cell.
 
     of: what it is of, by name;  trials: their number, or that of pairs
-    numbers: by measure, each a Statistic or a SeriesEstimate
+    numbers: by measure
     """
 
     of: dict[str, Any]
     trials: int
-    numbers: Mapping[str, Any]
+    numbers: Mapping[str, Statistic]
 
     def __getitem__(self, measure: str) -> Statistic:
-        return self.numbers[measure]  # type: ignore[no-any-return]
+        return self.numbers[measure]
 
     @property
     def idle(self) -> bool:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +20,15 @@ from scipy.special import betaincinv, stdtr, stdtrit
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.metrics import CAUSES
 from mast_zenoh.metrics.measures import MEASURES
-from mast_zenoh.metrics.study_results import MIN_SEEDS, NEGLIGIBLE, SeriesEstimate, StudySeries
+from mast_zenoh.metrics.study_results import (
+    BINOMIAL,
+    MIN_SEEDS,
+    MOSTLY_ZERO,
+    NEGLIGIBLE,
+    STUDENT,
+    Statistic,
+    StudySeries,
+)
 from mast_zenoh.study.numbers import ACHIEVED, COOPERATION, DEFENCE, DRIVEN, DRIVING, NAN
 
 CONFIDENCE = 0.95
@@ -185,7 +192,7 @@ def _t_interval(mean: Floats, error: Floats, degrees: Floats) -> Interval:
 
 def trial_estimate(
     values: Floats, bounds: tuple[float, float], *, rate: bool = False, paired: bool = False
-) -> SeriesEstimate:
+) -> Statistic:
     """The mean over trials and its intervals, from an array (scenes, seeds), NaN where a trial has no value.
 
     bounds: smallest and largest possible value;  rate: whether values are 0 or 1
@@ -196,39 +203,32 @@ def trial_estimate(
     nonempty_scenes = known.any(axis=1)
     complete = values[nonempty_scenes][:, known[nonempty_scenes].all(axis=0)]
     scenes, seeds = complete.shape
-    left_out = values.shape[1] - seeds
     if not complete.size:
-        return SeriesEstimate(left_out=left_out)
+        return Statistic(left_out=values.size, scenes=scenes)
     mean = float(complete.mean())
     low, high = rate_interval(complete) if rate else over_seeds(complete)
-    scenes_interval = (NAN, NAN) if rate else over_scenes(complete)
-    low, high, wide_low, wide_high = np.clip([low, high, *scenes_interval], *bounds).tolist()
-    estimate = SeriesEstimate(
+    to_scenes = (NAN, NAN) if rate else over_scenes(complete)
+    low, high, wide_low, wide_high = np.clip([low, high, *to_scenes], *bounds).tolist()
+    estimate = Statistic(
+        *(mean, low, high, complete.size, values.size - complete.size),
+        interval="" if math.isnan(low) else BINOMIAL if rate else STUDENT,
         mean=mean,
-        trial_mean=mean,
-        low=low,
-        high=high,
         scenes_low=wide_low,
         scenes_high=wide_high,
         scenes=scenes,
         seeds=seeds,
-        left_out=left_out,
         rate=rate,
     )
     if not paired:
         return estimate
     unchanged = zeros(complete)
     zero_low, zero_high = map(float, rate_interval(unchanged))
-    estimate = replace(
-        estimate,
-        p=float(p_value_of_zero_mean(complete)),
-        zero_share=float(unchanged.mean()),
-        zero_low=zero_low,
-        zero_high=zero_high,
-    )
+    zero_share = float(unchanged.mean())
+    estimate = estimate._replace(zero_share=zero_share, zero_low=zero_low, zero_high=zero_high)
     if not estimate.mostly_zero:
-        return estimate
-    return replace(estimate, low=NAN, high=NAN, scenes_low=NAN, scenes_high=NAN, p=p_value_of_signs(complete))
+        return estimate._replace(p=float(p_value_of_zero_mean(complete)))
+    estimate = estimate._replace(interval="" if estimate.is_zero else MOSTLY_ZERO, p=p_value_of_signs(complete))
+    return estimate._replace(low=NAN, high=NAN, scenes_low=NAN, scenes_high=NAN)
 
 
 def value_range(series: StudySeries) -> tuple[float, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import pyarrow
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import TrialsFailed
-from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, SeriesEstimate, StudyFacts, StudyRow, StudySeries
+from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Statistic, StudyFacts, StudyRow, StudySeries
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.study import numbers, statistics
@@ -206,7 +206,7 @@ class Samples:
         ]
 
 
-def _estimate(series: StudySeries, values: Floats, stds: Floats, frames: Floats, *, rate: bool) -> SeriesEstimate:
+def _estimate(series: StudySeries, values: Floats, stds: Floats, frames: Floats, *, rate: bool) -> Statistic:
     """The estimate of a series from arrays (scenes, seeds).
 
     NaN where a trial has no value.
@@ -219,7 +219,7 @@ def _estimate(series: StudySeries, values: Floats, stds: Floats, frames: Floats,
     mean, std = statistics.pooled_moments(over_frames)
     bounds = statistics.value_range(series)
     estimate = statistics.trial_estimate(values, bounds, rate=rate, paired=series.metric.endswith("_iob"))
-    return replace(estimate, mean=mean if over_frames else estimate.trial_mean, std=std)
+    return estimate._replace(mean=mean if over_frames else estimate.value, std=std)
 
 
 def _by_scene_and_seed(store: Store, trials: Sequence[Trial]) -> Iterator[list[TrialOutcome]]:
@@ -268,15 +268,12 @@ def parameters(study: Study) -> dict[str, dict[str, Value]]:
         for name, value in (dict(configuration.point) | configuration.factors).items():
             if value is not None:
                 result.setdefault(name, {})[configuration.label] = value
-    return {name: values if _numeric(values) else _as_text(values) for name, values in result.items()}
-
-
-def _numeric(values: dict[str, Any]) -> bool:
-    return all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values.values())
-
-
-def _as_text(values: dict[str, Any]) -> dict[str, Value]:
-    return {label: str(value) for label, value in values.items()}
+    return {
+        name: values
+        if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values.values())
+        else {label: str(value) for label, value in values.items()}
+        for name, values in result.items()
+    }
 
 
 class ParameterColumns:

@@ -4,39 +4,42 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
-from mast_zenoh.metrics.study_results import FailedTrial, SeriesEstimate, StudyFacts, StudyRow, StudySeries
+from mast_zenoh.metrics.study_results import FailedTrial, Statistic, StudyFacts, StudyRow, StudySeries
 
 BASELINE = StudyRow(
-    "baseline", "baseline", {}, {StudySeries("ego", "picture", "fp"): SeriesEstimate(1.0, 0.5, 1.0, 0.9, 1.1)}
+    "baseline",
+    "baseline",
+    {},
+    {StudySeries("ego", "picture", "fp"): Statistic(mean=1.0, std=0.5, value=1.0, low=0.9, high=1.1)},
 )
 
 
-def estimate(mean: float, half: float = 0.5, p: float = 1e-9, seeds: int = 20) -> SeriesEstimate:
-    return SeriesEstimate(mean, 1.25, mean, mean - half, mean + half, p=p, scenes=3, seeds=seeds)
+def estimate(mean: float, half: float = 0.5, p: float = 1e-9, seeds: int = 20) -> Statistic:
+    return Statistic(mean=mean, std=1.25, value=mean, low=mean - half, high=mean + half, p=p, scenes=3, seeds=seeds)
 
 
 def row(run: str, point: dict[str, Any], fp: float) -> StudyRow:
     """A configuration that adds `fp` false objects to picture and mission."""
     estimates = {
         StudySeries("ego", "picture", "fp"): estimate(1.0 + fp, p=float("nan")),
-        StudySeries("ego", "picture", "fp inserted"): SeriesEstimate(mean=2.0),
-        StudySeries("ego", "picture", "fp clutter"): SeriesEstimate(mean=1.0),
-        StudySeries("ego", "picture", "fp lag"): SeriesEstimate(mean=0.0),
+        StudySeries("ego", "picture", "fp inserted"): Statistic(mean=2.0),
+        StudySeries("ego", "picture", "fp clutter"): Statistic(mean=1.0),
+        StudySeries("ego", "picture", "fp lag"): Statistic(mean=0.0),
         StudySeries("ego", "mission", "my_metric"): estimate(7.5, p=float("nan")),
         StudySeries("compromised", "local", "cafp_iob"): estimate(2.0 * fp),
-        StudySeries("all", "achieved", "accepted"): SeriesEstimate(
-            0.9, trial_mean=0.9, low=0.7, high=1.0, seeds=20, rate=True
+        StudySeries("all", "achieved", "accepted"): Statistic(
+            mean=0.9, value=0.9, low=0.7, high=1.0, seeds=20, rate=True
         ),
-        StudySeries("adversary_1", "achieved", "accepted"): SeriesEstimate(
-            0.4, trial_mean=0.4, low=0.2, high=0.6, rate=True
+        StudySeries("adversary_1", "achieved", "accepted"): Statistic(
+            mean=0.4, value=0.4, low=0.2, high=0.6, rate=True
         ),
     }
     for estimator in ("picture", "mission"):
         estimates[StudySeries("ego", estimator, "fp_iob")] = estimate(fp)
         estimates[StudySeries("ego", estimator, "fn_iob")] = estimate(-0.004, 0.02, p=0.4)
     for metric in ("fn_iob", "fp_iob", "tp_iob", "rmse_m_iob", "id_switches_iob"):
-        estimates[StudySeries("ego", "local", metric)] = SeriesEstimate(
-            0.0, 0.0, 0.0, zero_share=1.0, scenes=3, seeds=20
+        estimates[StudySeries("ego", "local", metric)] = Statistic(
+            mean=0.0, std=0.0, value=0.0, zero_share=1.0, scenes=3, seeds=20
         )
     return StudyRow("-".join([run, *map(str, point.values())]), run, point, estimates)
 

@@ -11,7 +11,7 @@ from mast_zenoh.report.figures.study import Panel, figures_over_trials, panels
 
 
 def labels(panel: Panel) -> dict[str, list[str]]:
-    return {curve.label: [row.label for row in curve.rows] for curve in panel.curves}
+    return {label: [row.label for row in curve] for label, curve in panel.curves.items()}
 
 
 def test_runs_that_sweep_one_parameter_share_a_panel_with_a_curve_each() -> None:
@@ -29,7 +29,7 @@ def test_two_parameters_make_a_curve_for_each_value_of_the_second() -> None:
         "number of adversaries = 1": ["a-1-1.0", "a-1-5.0", "a-1-20.0"],
         "number of adversaries = 2": ["a-2-1.0", "a-2-5.0", "a-2-20.0"],
     }
-    assert all(len({row.point["n_adversaries"] for row in curve.rows}) == 1 for curve in panel.curves)
+    assert all(len({row.point["n_adversaries"] for row in curve}) == 1 for curve in panel.curves.values())
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_additional_parameters_make_a_panel_for_each_choice() -> None:
 def test_every_configuration_is_shown_exactly_once(grids, count: int) -> None:
     rows = [BASELINE, row("alone", {}, 1.0)]
     rows += [each for index, values in enumerate(grids) for each in grid(f"run{index}", **values)]
-    labels = [row.label for panel in panels(rows, "baseline") for curve in panel.curves for row in curve.rows]
+    labels = [row.label for panel in panels(rows, "baseline") for curve in panel.curves.values() for row in curve]
     assert sorted(labels) == sorted(row.label for row in rows[1:])
     assert len(labels) == count + 1
 
@@ -112,10 +112,10 @@ def test_figures_explain_missing_bars(
 
 def test_success_begins_at_zero_adversaries_and_every_figure_is_also_a_pdf(tmp_path, monkeypatch) -> None:
     drawn = {}
-    monkeypatch.setattr(study, "_render", lambda name, figure, *_: drawn.setdefault(name, figure))
+    monkeypatch.setattr(study, "render", lambda name, figure, *_, **__: drawn.setdefault(name, figure))
     success = StudySeries("all", "mission", "success_fp")
     rows = [BASELINE, *grid("a", n_adversaries=(1, 2, 3))]
-    rated = replace(estimate(0.5), rate=True)
+    rated = estimate(0.5)._replace(rate=True)
     rows[1:] = [replace(each, estimates={**each.estimates, success: rated}) for each in rows[1:]]
     figures_over_trials(rows, facts(rows))
     axes = drawn["success"].subfigs[0].axes[0]

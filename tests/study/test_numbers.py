@@ -154,9 +154,9 @@ def test_intervals_are_clipped_to_possible_values_except_differences() -> None:
         ("fp", "picture", "ego"),
     ):
         each = row.get(metric, estimator, adversary)
-        share = each.trial_mean > 0.5
+        share = each.value > 0.5
         assert (each.high if share else each.low) == (1.0 if share else 0.0), metric
-        assert each.low < each.trial_mean < each.high
+        assert each.low < each.value < each.high
     assert row.get("my_metric", "mission").low < 0.0, "a user's metric may have any range"
     assert row.get("fp_iob").low < -1.0 < row.get("fp_iob").high
     assert row.get("fp_ioe").low < 0.0
@@ -171,11 +171,11 @@ def test_critical_share_counts_trials_without_a_collision_course() -> None:
     done[-1] = outcome("attacked", 0, 5, driving={"ego": {"mission": {"min_ttc_s": 1.5}}})
     rows = summary(done, seeds=6, scenes=1)
     before, after = (rows[label].get("driving.critical", "mission") for label in ("baseline", "attacked"))
-    assert (before.trial_mean, after.trial_mean) == (pytest.approx(1 / 6), pytest.approx(5 / 6))
+    assert (before.value, after.value) == (pytest.approx(1 / 6), pytest.approx(5 / 6))
     assert before.rate
     assert 0.0 <= before.low < before.high < 1.0
     assert after.seeds == 6, "no seed is omitted"
-    assert rows["attacked"].get("driving.critical_iob", "mission").trial_mean == pytest.approx(4 / 6)
+    assert rows["attacked"].get("driving.critical_iob", "mission").value == pytest.approx(4 / 6)
     assert not any("min_ttc_s" in series.metric for row in rows.values() for series in row.estimates)
     assert any(each.metric == "driving.min_ttc_s" for each in numbers(done[0].metrics)), "results.parquet contains it"
 
@@ -187,12 +187,12 @@ def test_driven_cars_have_means_increments_and_rows_but_no_mean_of_what_some_tri
             ego = {"progress_m": way_m, "collisions": [{}] * (seed % 2), "min_gap_m": None if seed else 4.0}
             done.append(outcome(label, 0, seed, driven={"ego": ego, "mobile_1": {"progress_m": 5.0}}))
     row = summary(done, seeds=6, scenes=1)["attacked"]
-    assert row.get("progress_m", "driven").trial_mean == 65.0
-    assert row.get("collisions", "driven").trial_mean == 0.5
+    assert row.get("progress_m", "driven").value == 65.0
+    assert row.get("collisions", "driven").value == 0.5
     assert row.get("collisions", "driven").low >= 0.0
     added = row.get("progress_m_iob", "driven")
-    assert added.low < added.trial_mean == -37.5 < added.high < 0.0
-    assert row.get("progress_m", "driven", "mobile_1").trial_mean == 5.0
+    assert added.low < added.value == -37.5 < added.high < 0.0
+    assert row.get("progress_m", "driven", "mobile_1").value == 5.0
     assert not any("min_gap_m" in series.metric for series in row.estimates)
     assert any(each.metric == "min_gap_m" for each in numbers(done[0].metrics)), "results.parquet contains it"
 
@@ -210,16 +210,16 @@ def test_seeds_that_lack_a_trial_are_left_out_and_counted() -> None:
     rows = summary(done, 8)
     added = rows["attacked"].get("fp_iob")
     outcomes = [seed for seed in range(8) if seed not in (3, 5)]
-    assert (added.seeds, added.left_out, added.scenes) == (6, 2, 2)
-    assert added.trial_mean == pytest.approx(extra[:, outcomes].mean())
-    assert added.low < added.trial_mean < added.high
+    assert (added.seeds, added.seeds_left_out(8), added.left_out, added.scenes) == (6, 2, 4, 2)
+    assert added.value == pytest.approx(extra[:, outcomes].mean())
+    assert added.low < added.value < added.high
     assert (rows["attacked"].get("fp").seeds, rows["baseline"].get("fp").seeds) == (7, 7)
 
 
 def test_four_seeds_have_a_mean_but_no_interval_and_no_test() -> None:
     done = [outcome(label, 0, seed, fp=float(seed)) for label in ("baseline", "attacked") for seed in range(4)]
     row = summary(done, 4, scenes=1)["attacked"]
-    assert row.get("fp").trial_mean == 1.5
+    assert row.get("fp").value == 1.5
     assert np.isnan([row.get("fp").low, row.get("fp").high, row.get("fp_iob").p]).all()
 
 
@@ -232,9 +232,9 @@ def test_booleans_become_success_rates_with_an_interval() -> None:
     row = summary(done, 10)["attacked"]
     accepted, hidden = row.get("accepted", "achieved", "all"), row.get("hidden", "achieved", "all")
     assert accepted.rate
-    assert (accepted.trial_mean, accepted.high) == (1.0, 1.0)
+    assert (accepted.value, accepted.high) == (1.0, 1.0)
     assert 0.6 < accepted.low < 0.8
-    assert hidden.trial_mean == pytest.approx(3 / 20)
+    assert hidden.value == pytest.approx(3 / 20)
     assert 0.0 < hidden.low < 0.15 < hidden.high < 1.0
     assert np.isnan(hidden.scenes_low)
 

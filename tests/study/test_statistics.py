@@ -49,11 +49,6 @@ def test_fewer_than_five_seeds_have_no_interval(interval) -> None:
     assert not np.isnan(interval(np.array([[0.0, 1.0, 1.0, 0.0, 1.0]] * 6))).any()
 
 
-def test_fewer_than_five_scenes_have_no_interval_for_other_scenes() -> None:
-    assert np.isnan(over_scenes(sample(4, 20))).all()
-    assert not np.isnan(over_scenes(sample(5, 20))).any()
-
-
 def test_equal_seeds_have_no_interval_of_the_mean_and_no_test() -> None:
     for values in (np.zeros((3, 8)), np.full((3, 8), 2.5), np.full((1, 5), 0.1) + 0.2):
         assert np.isnan(over_seeds(values)).all()
@@ -98,12 +93,6 @@ def test_batched_intervals_equal_individual_ones() -> None:
         np.testing.assert_allclose(np.transpose(interval(values)), [interval(each) for each in values])
     hits = (values > 3.0).astype(np.float64)
     np.testing.assert_allclose(np.transpose(rate_interval(hits)), [rate_interval(each) for each in hits])
-
-
-@pytest.mark.parametrize(("successes", "trials"), [(0, 7), (3, 7), (7, 7), (1, 200)])
-def test_the_interval_of_a_binomial_rate_is_exact(successes: int, trials: int) -> None:
-    expected = stats.binomtest(successes, trials).proportion_ci(0.95, method="exact")
-    assert clopper_pearson(successes, trials) == pytest.approx((expected.low, expected.high))
 
 
 def test_the_interval_of_an_effective_number_of_trials_is_between_those_of_whole_numbers() -> None:

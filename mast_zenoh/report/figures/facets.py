@@ -17,7 +17,7 @@ from matplotlib.patches import Polygon
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 from numpy.typing import ArrayLike
 
-from mast_zenoh.metrics.study_results import Row, SeriesEstimate, Statistic
+from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.report.figures.style import LINE_STYLES, MARKERS, UNKNOWN, Figure, hatch_cell, light_axes, plain
 from mast_zenoh.report.tables.text_table import number
 from mast_zenoh.viewer.palette import INK, LOCAL, PALE, RUN_COLOURS
@@ -139,7 +139,7 @@ def _number_axis(axes: Axes, axis: Axis, positions: Any, log: bool) -> None:
 def curve(
     axes: Axes,
     x: ArrayLike,
-    numbers: Sequence[SeriesEstimate | Statistic],
+    numbers: Sequence[Statistic],
     index: int,
     label: str,
     factor: float = 1.0,

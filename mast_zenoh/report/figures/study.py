@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,10 +12,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 
-from mast_zenoh.metrics.study_results import MIN_SEEDS, Row, SeriesEstimate, StudyFacts, StudyRow, plural
+from mast_zenoh.metrics.study_results import MIN_SEEDS, Row, Statistic, StudyFacts, StudyRow
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.facets import Axis, facet
 from mast_zenoh.report.figures.style import Figure, heat_map, plain
+from mast_zenoh.report.findings.words import of_study
 from mast_zenoh.report.tables.study_rows import PAPER, StudyColumn, over_trials
 from mast_zenoh.viewer.palette import INK
 
@@ -23,14 +24,6 @@ from mast_zenoh.viewer.palette import INK
 MIN_FOR_HEAT_MAP = 4
 
 _UNITS = {"_s": "s", "_ms": "ms", "_m": "m", "_mps": "m/s", "_hz": "Hz", "_deg": "degrees", "_rad": "rad"}
-
-
-@dataclass(frozen=True, slots=True)
-class Curve:
-    """The configurations of one line, in the order of x; label: empty if it is alone."""
-
-    label: str
-    rows: tuple[StudyRow, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +35,8 @@ class Panel:
     y:       of a heat map the other parameter, else ""
     ticks:   the values along x: numbers, or else the text of each, evenly spaced
     numeric: whether x is a number, so that neighbours may be joined
-    curves:  of a heat map one per value of y
+    curves:  by label (empty if it is alone) the configurations of one line, in the order of x; of a heat map one per
+             value of y
     """
 
     title: str
@@ -50,7 +44,7 @@ class Panel:
     y: str
     ticks: tuple[object, ...]
     numeric: bool
-    curves: tuple[Curve, ...]
+    curves: Mapping[str, Sequence[StudyRow]]
 
 
 def panels(rows: Sequence[StudyRow], baseline: str) -> list[Panel]:
@@ -79,9 +73,9 @@ def _of_one(x: str, runs: Sequence[Sequence[StudyRow]]) -> Panel:
     """Runs that sweep the same parameter, or none."""
     rows = [row for run in runs for row in run]
     if not x:
-        return Panel("", "", "", tuple(row.label for row in rows), False, (Curve("", tuple(rows)),))
+        return Panel("", "", "", tuple(row.label for row in rows), False, {"": rows})
     ticks, numeric = _ticks(rows, x)
-    curves = tuple(Curve(run[0].run, _sorted(run, x, ticks)) for run in runs)
+    curves = {run[0].run: _sorted(run, x, ticks) for run in runs}
     return Panel("" if len(curves) > 1 else rows[0].run, x, "", ticks, numeric, curves)
 
 
@@ -95,13 +89,12 @@ def _of_several(rows: Sequence[StudyRow], swept: Sequence[str]) -> list[Panel]:
         panel_rows = [row for row in rows if _choice(row, others) == choice]
         ticks, numeric = _ticks(panel_rows, x)
         values, numbers = _ticks(panel_rows, second)
-        curves = tuple(
-            Curve(
-                f"{label_of(second)} = {text_of(value)}",
-                _sorted([row for row in panel_rows if row.point[second] == value], x, ticks),
+        curves = {
+            f"{label_of(second)} = {text_of(value)}": _sorted(
+                [row for row in panel_rows if row.point[second] == value], x, ticks
             )
             for value in values
-        )
+        }
         heat = numeric and numbers and min(len(ticks), len(values)) >= MIN_FOR_HEAT_MAP
         title = ", ".join(
             [rows[0].run, *(f"{label_of(name)} = {value}" for name, value in zip(others, choice, strict=True))]
@@ -127,8 +120,8 @@ def _ticks(rows: Iterable[StudyRow], name: str) -> tuple[tuple[object, ...], boo
     return tuple({repr(value): value for value in values}.values()), False
 
 
-def _sorted(rows: Iterable[StudyRow], x: str, ticks: Sequence[object]) -> tuple[StudyRow, ...]:
-    return tuple(sorted(rows, key=lambda row: ticks.index(row.point[x])))
+def _sorted(rows: Iterable[StudyRow], x: str, ticks: Sequence[object]) -> list[StudyRow]:
+    return sorted(rows, key=lambda row: ticks.index(row.point[x]))
 
 
 def _choice(row: StudyRow, names: Sequence[str]) -> tuple[str, ...]:
@@ -166,22 +159,22 @@ class StudyAxis(NamedTuple):
     column: StudyColumn
 
 
+_PER_FRAME = f"{_ADDED}, per frame"
 #: The axes of the figures of increments, by file name.
-_INCREMENTS: dict[str, tuple[StudyAxis, ...]] = {
+_INCREMENTS: dict[str, Sequence[StudyAxis]] = {
     "increments": (
-        StudyAxis("False objects: picture", f"{_ADDED}, per frame", StudyColumn("", "fp_iob")),
-        StudyAxis("Missed objects: picture", f"{_ADDED}, per frame", StudyColumn("", "fn_iob")),
-        StudyAxis("False objects: compromised agents", f"{_ADDED}, per frame", PAPER[0][1][1]),
+        StudyAxis("False objects: picture", _PER_FRAME, StudyColumn("", "fp_iob")),
+        StudyAxis("Missed objects: picture", _PER_FRAME, StudyColumn("", "fn_iob")),
+        StudyAxis("False objects: compromised agents", _PER_FRAME, PAPER[0][1][1]),
     ),
-    "increments_mission": (
-        StudyAxis("False objects: ego with the picture", f"{_ADDED}, per frame", StudyColumn("", "fp_iob", "mission")),
-        StudyAxis("Missed objects: ego with the picture", f"{_ADDED}, per frame", StudyColumn("", "fn_iob", "mission")),
-        StudyAxis(
-            "Identity switches: ego with the picture",
-            f"{_ADDED}, per run",
-            StudyColumn("", "id_switches_iob", "mission"),
-        ),
-    ),
+    "increments_mission": [
+        StudyAxis(f"{title}: ego with the picture", label, StudyColumn("", metric, "mission"))
+        for title, label, metric in (
+            ("False objects", _PER_FRAME, "fp_iob"),
+            ("Missed objects", _PER_FRAME, "fn_iob"),
+            ("Identity switches", f"{_ADDED}, per run", "id_switches_iob"),
+        )
+    ],
 }
 _CAPTIONS = {
     "increments": "What each configuration adds to the command centre's picture, and to the own tracks of the "
@@ -196,76 +189,42 @@ def figures_over_trials(rows: Sequence[StudyRow], facts: StudyFacts) -> dict[str
     """The figures by file name, without empty ones."""
     all_panels = panels(rows, facts.baseline)
     rows = [row for row in rows if row.label != facts.baseline]
-    specifications = {name: (axes, f"{_OVER_SEEDS} (Student's t)") for name, axes in _INCREMENTS.items()}
-    specifications["success"] = (_success(rows), f"{_OVER_SEEDS} (Clopper-Pearson, effective number of trials)")
+    rates = dict.fromkeys(series for row in rows for series, each in row.estimates.items() if each.rate)
+    # Of all adversaries together, at most three.
+    success = [
+        StudyAxis(metric.replace("_", " "), "success rate (%)", StudyColumn("", metric, estimator, owner))
+        for owner, estimator, metric in rates
+        if owner == "all"
+    ][:3]
     pictures = {}
-    for name, (axes, interval) in specifications.items():
-        known = [axis for axis in axes if _seeds(rows, axis)]
-        if known and all_panels:
-            footer = _footer(rows, known, interval)
-            if any(panel.y for panel in all_panels):
-                footer += "; in brackets where it contains 0 or there is none"
-            pictures[name] = _render(name, _draw(all_panels, known, footer), rows, known)
+    for name, axes in (*_INCREMENTS.items(), ("success", success)):
+        estimates = {axis: [each for row in rows if (each := axis.column.of(row)).seeds] for axis in axes}
+        axes = [axis for axis, of_axis in estimates.items() if of_axis]
+        if not (axes and all_panels):
+            continue
+        known = [each for of_axis in estimates.values() for each in of_axis]
+        how = "Clopper-Pearson, effective number of trials" if name == "success" else "Student's t"
+        seeds, scenes = sorted({each.seeds for each in known}), sorted({each.scenes for each in known})
+        (footer,) = of_study("footer", seeds=seeds, scenes=scenes, interval=f"{_OVER_SEEDS} ({how})", **_bars(known))
+        if any(panel.y for panel in all_panels):
+            footer += "; in brackets where it contains 0 or there is none"
+        caption = " ".join([_CAPTIONS[name], *(of_study("bar_notes", **_bars(known)) if name in _INCREMENTS else [])])
+        of_first = [(row.label, axes[0].column.of(row)) for row in rows]
+        values = "; ".join(f"{label} {over_trials(each)}" for label, each in of_first if each.seeds)
+        alt = f"{axes[0].title}, {axes[0].label}: {values}."
+        pictures[name] = render(name, _draw(all_panels, axes, footer), alt, caption, printed=True)
     return pictures
 
 
-def _success(rows: Sequence[StudyRow]) -> tuple[StudyAxis, ...]:
-    """Success rates of all adversaries together, at most three."""
-    series = dict.fromkeys(series for row in rows for series, each in row.estimates.items() if each.rate)
-    overall = [each for each in series if each.owner == "all"][:3]
-    return tuple(
-        StudyAxis(
-            each.metric.replace("_", " "), "success rate (%)", StudyColumn("", each.metric, each.estimator, each.owner)
-        )
-        for each in overall
-    )
-
-
-def _seeds(rows: Sequence[StudyRow], axis: StudyAxis) -> list[SeriesEstimate]:
-    """The estimates with at least one seed."""
-    return [each for row in rows if (each := axis.column.of(row)).seeds]
-
-
-def _footer(rows: Sequence[StudyRow], axes: Sequence[StudyAxis], interval: str) -> str:
-    """Number of seeds and scenes behind the points, and the meaning of the bars."""
-    known = [each for axis in axes for each in _seeds(rows, axis)]
-    seeds, scenes = sorted({each.seeds for each in known}), sorted({each.scenes for each in known})
-    counts = [
-        plural(each[0], noun) if len(each) == 1 else f"{each[0]} to {each[-1]} {noun}s"
-        for each, noun in ((seeds, "seed"), (scenes, "scene"))
-    ]
-    sample = f"mean over {counts[0]} \u00d7 {counts[1]}"
-    if any(not math.isnan(each.low) for each in known):
-        return f"{sample}; {interval}"
-    few, equal, zero = _without_bar(known)
-    reasons = ["below five seeds"] * few + ["where all seeds are equal"] * equal + ["where most trials are 0"] * zero
-    return f"{sample}; no interval {' and '.join(reasons)}"
-
-
-def _without_bar(estimates: Sequence[SeriesEstimate]) -> tuple[bool, bool, bool]:
-    """Whether any estimate lacks an interval: (too few seeds, all seeds equal, most trials 0)."""
-    bare = [each for each in estimates if math.isnan(each.low)]
-    few = any(each.seeds < MIN_SEEDS for each in bare)
-    equal = any(each.seeds >= MIN_SEEDS and (each.unchanged or each.certain) for each in bare)
-    return few, equal, any(each.mostly_zero and not each.unchanged for each in bare)
-
-
-def _bar_notes(rows: Sequence[StudyRow], axes: Sequence[StudyAxis]) -> str:
-    """How to read the bars of increments, and why some points have no bar."""
-    known = [each for axis in axes for each in _seeds(rows, axis)]
-    few, equal, zero = _without_bar(known)
-    sentences = ["Where a bar crosses 0, there may be no change."] * any(not math.isnan(each.low) for each in known)
-    sentences += ["Below five seeds there is no bar."] * few
-    sentences += ["A point of five seeds or more without a bar is the same for every seed."] * (equal and not zero)
-    sentences += ["A point of five seeds or more without a bar is 0 in most trials, or the same for every seed."] * zero
-    return " ".join(sentences)
-
-
-def _render(name: str, figure: Figure, rows: Sequence[StudyRow], axes: Sequence[StudyAxis]) -> RenderedFigure:
-    first = axes[0]
-    caption = f"{_CAPTIONS[name]} {_bar_notes(rows, axes)}" if name in _INCREMENTS else _CAPTIONS[name]
-    values = "; ".join(f"{row.label} {over_trials(each)}" for row in rows if (each := first.column.of(row)).seeds)
-    return render(name, figure, f"{first.title}, {first.label}: {values}.", caption, printed=True)
+def _bars(known: Sequence[Statistic]) -> dict[str, bool]:
+    """Whether any estimate has an interval, and why others have none: too few seeds, all seeds equal, most trials 0."""
+    bare = [each for each in known if math.isnan(each.low)]
+    return {
+        "any": len(bare) < len(known),
+        "few": any(each.seeds < MIN_SEEDS for each in bare),
+        "equal": any(each.seeds >= MIN_SEEDS and (each.unchanged or each.certain) for each in bare),
+        "zero": any(each.mostly_zero and not each.unchanged for each in bare),
+    }
 
 
 def _draw(all_panels: Sequence[Panel], columns: Sequence[StudyAxis], footer: str) -> Figure:
@@ -277,7 +236,7 @@ def _draw(all_panels: Sequence[Panel], columns: Sequence[StudyAxis], footer: str
     heights = [3.75 + 0.25 * bool(panel.title) for panel in all_panels]
     figure = Figure(figsize=(width, sum(heights) + 0.3), layout="constrained", facecolor="white")
     strips = figure.subfigures(len(all_panels), 1, height_ratios=heights, squeeze=False)[:, 0]
-    all_rows = [row for panel in all_panels for curve in panel.curves for row in curve.rows]
+    all_rows = [row for panel in all_panels for curve in panel.curves.values() for row in curve]
     for strip, panel in zip(strips, all_panels, strict=True):
         if not panel.y:
             _curves(strip, panel, columns)
@@ -285,7 +244,7 @@ def _draw(all_panels: Sequence[Panel], columns: Sequence[StudyAxis], footer: str
         for axes, (title, label, column) in zip(
             strip.subplots(1, len(columns), squeeze=False)[0], columns, strict=True
         ):
-            sizes = [abs(column.of(row).trial_mean) for row in all_rows if column.of(row).seeds]
+            sizes = [abs(column.of(row).value) for row in all_rows if column.of(row).seeds]
             _heat_map(axes, panel, column, max(sizes, default=0.0) or 1.0)
             axes.set_title(f"{title}\n{label}", fontsize=9.5, color=INK, loc="left")
             axes.set_xlabel(plain(label_of(panel.x)), fontsize=9.5, color=INK)
@@ -301,12 +260,12 @@ def _curves(strip: SubFigure, panel: Panel, columns: Sequence[StudyAxis]) -> Non
     rows = [
         Row(
             {"x": (row.point[panel.x] if panel.numeric else text_of(row.point[panel.x])) if panel.x else row.label}
-            | {"curve": curve.label},
+            | {"curve": label},
             0,
             {title: column.of(row) for title, _, column in columns},
         )
-        for curve in panel.curves
-        for row in curve.rows
+        for label, curve in panel.curves.items()
+        for row in curve
     ]
     axes = []
     for title, label, _ in columns:
@@ -314,7 +273,7 @@ def _curves(strip: SubFigure, panel: Panel, columns: Sequence[StudyAxis]) -> Non
         axes.append(Axis(title, label, 100.0 if rate else 1.0, title=title))
         # No adversary, no success.
         if rate and panel.x.rpartition(".")[2] == "n_adversaries" and panel.numeric and 0 not in panel.ticks:
-            nothing = {each: SeriesEstimate(trial_mean=0.0) for each, *_ in columns}
+            nothing = {each: Statistic(value=0.0) for each, *_ in columns}
             rows.append(Row({"x": 0, "curve": ""}, 0, nothing))
     numbers = [float(row.of["x"]) for row in rows] if panel.numeric else []
     wide = len(panel.ticks) > 2 and min(numbers, default=0.0) > 0.0 and max(numbers) / min(numbers) >= _LOG_FROM
@@ -326,14 +285,14 @@ def _heat_map(axes: Axes, panel: Panel, column: StudyColumn, scale: float) -> No
     """Means as colours and numbers, in brackets if the interval contains 0 or is none."""
     means = np.full((len(panel.curves), len(panel.ticks)), np.nan)
     texts = [[""] * len(panel.ticks) for _ in panel.curves]
-    for y, curve in enumerate(panel.curves):
-        for row in curve.rows:
+    for y, curve in enumerate(panel.curves.values()):
+        for row in curve:
             x, estimate = panel.ticks.index(row.point[panel.x]), column.of(row)
-            means[y, x] = estimate.trial_mean
-            if not math.isnan(estimate.trial_mean):
-                text = f"{100 * estimate.trial_mean:.0f}" if estimate.rate else f"{estimate.trial_mean:.3g}"
+            means[y, x] = estimate.value
+            if not math.isnan(estimate.value):
+                text = f"{100 * estimate.value:.0f}" if estimate.rate else f"{estimate.value:.3g}"
                 significant = estimate.low > 0.0 or estimate.high < 0.0
                 texts[y][x] = (text if significant else f"({text})").replace("-", "\u2212")
     heat_map(axes, means, texts, scale, origin="lower")
     axes.set_xticks(range(len(panel.ticks)), [plain(text_of(tick)) for tick in panel.ticks])
-    axes.set_yticks(range(len(panel.curves)), [plain(curve.label.partition(" = ")[2]) for curve in panel.curves])
+    axes.set_yticks(range(len(panel.curves)), [plain(label.partition(" = ")[2]) for label in panel.curves])

@@ -1,6 +1,6 @@
 """What is worth saying about a run: findings, from its measurements, in one order; `words` says them.
 
-finding      what a finding is;  words  the sentences, from templates/phrases.j2
+finding      what a finding is;  words  the sentences, from templates/phrases.j2; those of studies from study_phrases.j2
 results      how the run ended, the largest changes of its scores;  changes, causes, differences  what these are due to
 adversaries  what they did, and why it had limited effect
 cars         what happened to driven cars;  defence  what a defence did, and the agents' own pictures

@@ -1,4 +1,4 @@
-"""Says findings: the words are in templates/phrases.j2."""
+"""Says findings of runs and results of studies: the words are in templates/phrases.j2 and study_phrases.j2."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from mast_zenoh.metrics.estimates import PICTURE, place_of
 from mast_zenoh.metrics.study_results import plural
 from mast_zenoh.report.findings.defence import of_defence
 from mast_zenoh.report.findings.finding import Finding
+from mast_zenoh.report.tables import study_rows, text_table
 from mast_zenoh.report.tables.text_table import whole_percent
 from mast_zenoh.runs.run import Run
 
@@ -73,14 +74,42 @@ def place(run: Run, finding: Finding) -> str:
     return f"in the picture of {agent}" if own else f"in the common picture in range of {agent}"
 
 
-@cache
+def of_study(phrase: str, **data: Any) -> list[str]:
+    """The sentences of a macro of templates/study_phrases.j2; data: its arguments."""
+    shown: dict[str, Callable[..., str]] = {
+        "names": names,
+        "plural": plural,
+        "number": text_table.number,
+        "whole_percent": whole_percent,
+        "measured": text_table.measured,
+        "percent": text_table.percent,
+        "over_trials": study_rows.over_trials,
+        "value": study_rows.value,
+        "bounds": study_rows.bounds,
+    }
+    sentences = _macros("study_phrases.j2", tuple(shown.items()))[phrase](**data).split("\u00b6")
+    return [" ".join(each.split()) for each in sentences if each.strip()]
+
+
+def paragraph(phrase: str, **data: Any) -> str:
+    """The same as one text."""
+    return " ".join(of_study(phrase, **data))
+
+
 def _phrases() -> dict[str, Callable[..., str]]:
-    """The macros of the template by name."""
+    """The phrases of runs."""
+    shown = {"names": names, "number": number, "percent": whole_percent, "plural": plural}
+    return _macros("phrases.j2", tuple(shown.items()))
+
+
+@cache
+def _macros(template: str, filters: tuple[tuple[str, Callable[..., str]], ...]) -> dict[str, Callable[..., str]]:
+    """The macros of a template by name."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(  # the text is not of a page: pages escape it
         loader=PackageLoader("mast_zenoh.report"), undefined=StrictUndefined, autoescape=False
     )
-    environment.filters |= {"names": names, "number": number, "percent": whole_percent, "plural": plural}
-    module: Any = environment.get_template("phrases.j2").module
+    environment.filters |= dict(filters)
+    module: Any = environment.get_template(template).module
     return {name: getattr(module, name) for name in dir(module) if not name.startswith("_")}

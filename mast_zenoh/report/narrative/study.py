@@ -11,13 +11,13 @@ from mast_zenoh.metrics.measures import COLUMNS
 from mast_zenoh.metrics.significance import clearest, holm
 from mast_zenoh.metrics.study_results import (
     LEVEL,
-    IdleAttack,
-    SeriesEstimate,
+    Statistic,
     StudyFacts,
     StudyRow,
     StudySeries,
     plural,
 )
+from mast_zenoh.report.findings.words import of_study
 from mast_zenoh.report.tables.study_rows import (
     ADDED,
     ALL_SCORES,
@@ -25,7 +25,6 @@ from mast_zenoh.report.tables.study_rows import (
     ESTIMATORS,
     PAPER,
     StudyColumn,
-    bounds,
     columns_of,
     unchanged,
     value,
@@ -114,18 +113,9 @@ def titled(rows: Sequence[StudyRow], facts: StudyFacts) -> tuple[list[StudyRow],
 
 def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> str:
     """The clearest change in a sentence, after one for each attack that never began."""
-    idle = [_never_began(each) for each in facts.idle]
+    idle = [text for each in facts.idle for text in of_study("never_began", idle=each)]
     attacked = _attacked(rows, facts)
-    if attacked or not idle:
-        idle.append(_result(rows, attacked, comparisons))
-    return " ".join(idle)
-
-
-def _never_began(idle: IdleAttack) -> str:
-    """States that an attack never began, when it begins and when the trials end."""
-    where = f" in {', '.join(idle.scenes)}" if idle.scenes else ""
-    when = f"it begins at {idle.begins_s:g} s, and the trials end after {idle.ends_s:g} s"
-    return f"The attack of {idle.configuration} never began{where}: {when}."
+    return " ".join([*idle, *([_result(rows, attacked, comparisons)] if attacked or not idle else [])])
 
 
 def _attacked(rows: Sequence[StudyRow], facts: StudyFacts) -> list[StudyRow]:
@@ -137,21 +127,20 @@ NO_CHANGE = "No configuration changes false or missed objects in any estimate of
 
 
 def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons: Comparisons) -> str:
-    if not attacked:
-        return f"{plural(len(rows), 'configuration')}, nothing to compare."
     headline = _headline(attacked, comparisons)
-    if headline:
-        return f"The clearest change: {_sentence(headline)}."
-    any_change = _largest(attacked, ("fp_iob", "fn_iob"), None)
-    if not any_change:
-        if _estimates_of(attacked, "fp_iob") or _estimates_of(attacked, "fn_iob"):
-            return f"{NO_CHANGE}, in any trial."
-        return "No trial has results for its baseline, so there is nothing to compare."
-    if comparisons.count:
-        return f"{NO_CHANGE} distinguishably, in {plural(comparisons.count, 'comparison')} with the baseline."
-    greatest = any_change[1].of(any_change[0])
-    reason = "0 in most trials" if greatest.mostly_zero else "too few seeds for an interval"
-    return f"The largest change of {_compared(any_change)}, {reason}: {_sentence(any_change)}."
+    largest = _largest(attacked, ("fp_iob", "fn_iob"), None)
+    return of_study(
+        "result",
+        rows=rows,
+        attacked=attacked,
+        headline=headline and _sentence(headline),
+        largest=largest and _sentence(largest),
+        compared=largest and _compared(largest),
+        rare=largest and largest[1].of(largest[0]).mostly_zero,
+        known=_estimates_of(attacked, "fp_iob") or _estimates_of(attacked, "fn_iob"),
+        same=NO_CHANGE,
+        made=comparisons,
+    )[0]
 
 
 def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
@@ -161,34 +150,32 @@ def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comp
         return []
     headline_change = _headline(attacked, comparisons)
     sentences: list[str] = []
-    unchanged_names, rare, alone, indistinct = [], [], [], []
+    silent: dict[str, list[str]] = {phrase: [] for phrase in (_UNCHANGED, _RARE, _ALONE, _INDISTINCT, "")}
     for metric, (name, _) in _CHANGES.items():
         change = _largest(attacked, (metric,), comparisons)
-        if change and change != headline_change:
+        if change is None:
+            silent[_silence(_estimates_of(attacked, metric), tested=bool(comparisons.count))].append(name)
+        elif change != headline_change:
             sentences.append(f"{name[:1].upper()}{name[1:]}: {_sentence(change)}.")
-        elif not change:
-            known = _estimates_of(attacked, metric)
-            if comparisons.count and known and all(each.unchanged for each in known):
-                unchanged_names.append(name)
-            elif any(each.mostly_zero and not each.unchanged for each in known):
-                rare.append(name)
-            elif comparisons.count and any(each.differs for each in known):
-                alone.append(name)
-            elif comparisons.count and any(not math.isnan(each.low) for each in known):
-                indistinct.append(name)
-    for name, columns in ADDED:
-        if unchanged(attacked, columns):
-            sentences.append(f"Not changed in any trial: {name}.")
-    if unchanged_names:
-        sentences.append(f"Unchanged in all trials: {', '.join(unchanged_names)}.")
-    if rare:
-        sentences.append(f"Changed in few trials, and therefore without interval: {', '.join(rare)}.")
-    if alone:
-        among = f"not if all {plural(comparisons.count, 'comparison')} are read together"
-        sentences.append(f"Distinguishable from the baseline if read alone, {among}: {', '.join(alone)}.")
-    if indistinct:
-        sentences.append(f"Not distinguishable from the baseline: {', '.join(indistinct)}.")
-    return sentences
+    sentences += [f"Not changed in any trial: {name}." for name, columns in ADDED if unchanged(attacked, columns)]
+    phrases = ((phrase.format(plural(comparisons.count, "comparison")), names) for phrase, names in silent.items())
+    return sentences + [f"{phrase}: {', '.join(names)}." for phrase, names in phrases if phrase and names]
+
+
+_UNCHANGED, _RARE = "Unchanged in all trials", "Changed in few trials, and therefore without interval"
+_ALONE = "Distinguishable from the baseline if read alone, not if all {} are read together"
+_INDISTINCT = "Not distinguishable from the baseline"
+
+
+def _silence(known: Sequence[Statistic], *, tested: bool) -> str:
+    """Why there is no change to name; "": that is not known."""
+    if tested and known and all(each.unchanged for each in known):
+        return _UNCHANGED
+    if any(each.mostly_zero and not each.unchanged for each in known):
+        return _RARE
+    if tested and any(each.seen for each in known):
+        return _ALONE
+    return _INDISTINCT if tested and any(not math.isnan(each.low) for each in known) else ""
 
 
 def _compared(change: _Change) -> str:
@@ -200,10 +187,10 @@ def _compared(change: _Change) -> str:
     return f"{names} in {ESTIMATES[column.estimator].noun}"
 
 
-def _estimates_of(rows: Sequence[StudyRow], metric: str) -> list[SeriesEstimate]:
+def _estimates_of(rows: Sequence[StudyRow], metric: str) -> list[Statistic]:
     """All known estimates of a metric."""
     estimates = [StudyColumn("", metric, estimator).of(row) for row in rows for estimator in _PRIORITY]
-    return [each for each in estimates if not math.isnan(each.trial_mean)]
+    return [each for each in estimates if not math.isnan(each.value)]
 
 
 def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | None:
@@ -213,13 +200,13 @@ def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | N
         row = by_label.get(label)
         if row is not None and owner == row.ego and estimator in _PRIORITY and metric in _CHANGES:
             change = row, StudyColumn("", metric, estimator)
-            if metric in _COUNTED or abs(change[1].of(row).trial_mean) >= _LEAST:
+            if metric in _COUNTED or abs(change[1].of(row).value) >= _LEAST:
                 return change
     for estimator in _PRIORITY:
         columns = [StudyColumn("", metric, estimator) for metric in _COUNTED]
         same = [(row, column) for row in rows for column in columns if column.of(row).certain]
         if same:
-            return max(same, key=lambda change: abs(change[1].of(change[0]).trial_mean))
+            return max(same, key=lambda change: abs(change[1].of(change[0]).value))
     return None
 
 
@@ -230,13 +217,13 @@ def _largest(rows: Sequence[StudyRow], metrics: Sequence[str], comparisons: Comp
     """
     for estimator in _PRIORITY:
         changes = [(row, StudyColumn("", metric, estimator)) for row in rows for metric in metrics]
-        known = [(row, column) for row, column in changes if not math.isnan(column.of(row).trial_mean)]
+        known = [(row, column) for row, column in changes if not math.isnan(column.of(row).value)]
         if comparisons:
             known = [each for each in known if comparisons.remains(*each) or each[1].of(each[0]).certain]
         else:
             known = [each for each in known if not each[1].of(each[0]).is_zero]
         if known:
-            return max(known, key=lambda change: abs(change[1].of(change[0]).trial_mean))
+            return max(known, key=lambda change: abs(change[1].of(change[0]).value))
     return None
 
 
@@ -244,29 +231,18 @@ def _sentence(change: _Change) -> str:
     """`in attacked-3 the picture has 6.10 more false objects a frame [5.20, 7.00] …`."""
     row, column = change
     estimate = column.of(row)
-    sign = 1.0 if estimate.trial_mean >= 0.0 else -1.0
+    sign = 1.0 if estimate.value >= 0.0 else -1.0
     ends = sorted((sign * estimate.low, sign * estimate.high))
-    positive = replace(estimate, trial_mean=sign * estimate.trial_mean, low=ends[0], high=ends[1])
+    positive = estimate._replace(value=sign * estimate.value, low=ends[0], high=ends[1])
     more = "more" if sign > 0 else "fewer" if column.metric in _COUNTED else "less"
     text = _CHANGES[column.metric][1].format(size=value(positive), more=more)
-    clause = f"in {row.label} {ESTIMATES[column.estimator].subject} has {text}"
-    if estimate.certain:
-        return f"{clause} than the baseline, in all {estimate.seeds} seeds; no spread, so no interval"
-    return f"{clause} {bounds(positive)} than the baseline"
+    subject = ESTIMATES[column.estimator].subject
+    return of_study("changed_in", label=row.label, subject=subject, text=text, each=estimate, positive=positive)[0]
 
 
 def comparisons_made(comparisons: Comparisons) -> str:
     """Number of comparisons, its effect on each interval, and the meaning of the mark."""
-    if not comparisons.count:
-        return "No comparison with the baseline can be tested."
-    count = comparisons.count
-    others = f" table.csv has {comparisons.others} more, which are not counted." if comparisons.others else ""
-    return (
-        f"{plural(count, 'comparison')} with the baseline, each with its own 95 % interval or sign test: "
-        f"{LEVEL * count:.1f} of them would exclude 0 by chance if nothing differed. "
-        f"They hold together at 95 % if each is held to a level of {comparisons.bonferroni:.2g} (Bonferroni). "
-        f"* marks the {comparisons.remaining()} that remain distinguishable from 0 after Holm's procedure.{others}"
-    )
+    return of_study("comparisons", made=comparisons, level=LEVEL)[0]
 
 
 def is_of_user(row: StudyRow, series: StudySeries) -> bool:
@@ -277,29 +253,16 @@ def is_of_user(row: StudyRow, series: StudySeries) -> bool:
 
 def reservations(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:
     """Caveats: differences not due to attacks alone, and numbers based on fewer seeds."""
-    sentences = []
-    if facts.other_scenes:
-        sentences.append(
-            f"{', '.join(facts.other_scenes)}: a different scene from the baseline's, or different agents, "
-            "so differences from the baseline are not due to the attack alone."
-        )
     names = {(column.estimator, column.metric): column.heading for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
+    left_out: dict[str, dict[int, list[str]]] = {}
     for row in rows:
-        by_count: dict[int, list[str]] = {}
+        by_count = left_out.setdefault(row.label, {})
         for series, estimate in row.estimates.items():
             own = is_of_user(row, series)
             if own or (series.estimator, series.metric) in names:
                 name = series.metric if own else names[series.estimator, series.metric]
                 where = ESTIMATORS.get(series.estimator, series.estimator)
                 change = "change of " if series.metric.endswith("_iob") and "IoB" not in name else ""
-                by_count.setdefault(estimate.left_out, []).append(f"{change}{name} ({where})")
-        if not by_count:
-            sentences.append(f"{row.label}: no trial has results.")
-        for count, affected in sorted(by_count.items()):
-            if count:
-                of = "" if len(by_count) == 1 else f" for {', '.join(dict.fromkeys(affected))}"
-                sentences.append(
-                    f"{row.label}: {count} of {plural(len(facts.seeds), 'seed')} left out{of}: a trial failed or has "
-                    "no such value."
-                )
-    return sentences
+                count = estimate.seeds_left_out(len(facts.seeds))
+                by_count.setdefault(count, []).append(f"{change}{name} ({where})")
+    return of_study("reservations", facts=facts, rows=left_out)

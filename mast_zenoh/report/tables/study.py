@@ -10,7 +10,8 @@ from rich.text import Text
 
 from mast_zenoh.metrics import CAUSES
 from mast_zenoh.metrics.measures import COLUMNS
-from mast_zenoh.metrics.study_results import SeriesEstimate, StudyFacts, StudyRow, StudySeries, shares
+from mast_zenoh.metrics.study_results import Statistic, StudyFacts, StudyRow, StudySeries, shares
+from mast_zenoh.report.findings.words import paragraph
 from mast_zenoh.report.narrative.study import (
     Comparisons,
     compare,
@@ -52,12 +53,30 @@ def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) 
     """All non-empty tables of a study."""
     attacked = [row for row in rows if row.label != baseline]
     title = difference_title(rows, baseline)
+    defended, apart = (
+        [row for row in rows if any(series.estimator in names for series in row.estimates)]
+        for names in (("defence",), ("pictures", "channel"))
+    )
     tables = [_paper(title, attacked, comparisons), *_added(title, attacked, comparisons)]
-    tables += _to_other_scenes(title, attacked)
-    tables += [_scores(rows, group) for group in ALL_SCORES]
-    tables += [*_achieved(attacked), _defence(rows), _cooperation(rows), _others(rows)]
+    tables += [
+        _table(
+            f"{title}, to other scenes: {group[0]}", _TO_OTHER_SCENES, (group,), attacked, _to_scenes, terminal=False
+        )
+        for group in ADDED
+        if any(not math.isnan(column.of(row).scenes_low) for row in attacked for column in group[1])
+    ]
+    tables += [_table(f"Scores: {group[0]}", _SCORED, (group,), rows, _cell_of, brief=True) for group in ALL_SCORES]
+    tables += [*_achieved(attacked), _table("What the defence did", paragraph("defended"), DEFENCE, defended, _cell_of)]
+    tables += [
+        _table("Pictures and radio channel", paragraph("pictures_and_channel"), COOPERATION, apart, _cell_of),
+        _others(rows),
+    ]
     tables += [_causes(rows, estimator, outcome) for estimator in ("picture", "mission") for outcome in _WRONG]
     return [table for table in tables if table.lines and len(table.headings) > 1]
+
+
+_TO_OTHER_SCENES = "The same means, with the 95 % interval to other scenes drawn like these, and other seeds."
+_SCORED = "FN, FP, TP: objects per frame missed, false and matched. Mean and 95 % interval over seeds."
 
 
 def difference_title(rows: Sequence[StudyRow], baseline: str) -> str:
@@ -67,18 +86,15 @@ def difference_title(rows: Sequence[StudyRow], baseline: str) -> str:
 
 def side_by_side(rows: Sequence[StudyRow]) -> TextTable:
     """The scores of all estimates in one table, a group of columns for each."""
-    return _table("", "", SCORES, rows, lambda row, column: _over_trials(column.of(row)))
+    return _table("", "", SCORES, rows, _cell_of)
 
 
 def _paper(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> TextTable:
-    caption = (
-        "Objects per frame: mean ± standard deviation over the frames of all trials; below it the 95 % interval of the "
-        "mean over seeds of these scenes, each trial paired with its baseline, after that mean where it differs."
-    )
+    caption = paragraph("paper_increments")
 
     def cell(row: StudyRow, column: StudyColumn) -> str:
         estimate = column.of(row)
-        same = number(estimate.trial_mean) in (number(estimate.mean), DASH)
+        same = number(estimate.value) in (number(estimate.mean), DASH)
         below = bounds(estimate) if same else over_trials(estimate)
         return _cell(over_frames(estimate), below, marked=comparisons.remains(row, column))
 
@@ -87,41 +103,15 @@ def _paper(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> Te
 
 def _added(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> list[TextTable]:
     """A table per estimate that differs; the terminal shows the ego's."""
-    tables = []
-    for estimator, group in zip(ESTIMATORS, ADDED, strict=True):
-        section = _table(
-            f"{title}: {group[0]}",
-            _PAIRED,
-            (group,),
-            rows,
-            lambda row, column: _over_trials(column.of(row), marked=comparisons.remains(row, column)),
-        )
-        if not unchanged(rows, group[1]):
-            tables.append(section._replace(terminal=estimator != "picture"))
-    return tables
-
-
-def _to_other_scenes(title: str, rows: Sequence[StudyRow]) -> list[TextTable]:
-    """Increments with intervals to other scenes, for estimates that have them."""
-    caption = "The same means, with the 95 % interval to other scenes drawn like these, and other seeds."
-    groups = [group for group in ADDED if any(not math.isnan(c.of(row).scenes_low) for row in rows for c in group[1])]
     return [
         _table(
-            f"{title}, to other scenes: {group[0]}",
-            caption,
-            (group,),
-            rows,
-            lambda row, column: _cell(value(column.of(row)), bounds(column.of(row), scenes=True)),
-            terminal=False,
+            *(f"{title}: {group[0]}", _PAIRED, (group,), rows),
+            lambda row, column: _over_trials(column.of(row), marked=comparisons.remains(row, column)),
+            terminal=estimator != "picture",
         )
-        for group in groups
+        for estimator, group in zip(ESTIMATORS, ADDED, strict=True)
+        if not unchanged(rows, group[1])
     ]
-
-
-def _scores(rows: Sequence[StudyRow], group: tuple[str, tuple[StudyColumn, ...]]) -> TextTable:
-    caption = "FN, FP, TP: objects per frame missed, false and matched. Mean and 95 % interval over seeds."
-    title = f"Scores: {group[0]}"
-    return _table(title, caption, (group,), rows, lambda row, column: _over_trials(column.of(row)), brief=True)
 
 
 def _achieved(rows: Sequence[StudyRow]) -> list[TextTable]:
@@ -148,22 +138,6 @@ def _achieved(rows: Sequence[StudyRow]) -> list[TextTable]:
     return tables
 
 
-def _defence(rows: Sequence[StudyRow]) -> TextTable:
-    caption = (
-        "Agents suspended, and objects per frame withheld from the picture; mean and 95 % interval over seeds of these "
-        "scenes. The delay is from an agent's first lie to its suspension, in trials in which one is suspended."
-    )
-    defended = [row for row in rows if any(series.estimator == "defence" for series in row.estimates)]
-    return _table("What the defence did", caption, DEFENCE, defended, lambda row, column: _over_trials(column.of(row)))
-
-
-def _cooperation(rows: Sequence[StudyRow]) -> TextTable:
-    caption = "Shares of the agents, of the time, of the frames and of the messages; mean and 95 % interval over seeds."
-    apart = [row for row in rows if any(series.estimator in ("pictures", "channel") for series in row.estimates)]
-    title = "Pictures and radio channel"
-    return _table(title, caption, COOPERATION, apart, lambda row, column: _over_trials(column.of(row)))
-
-
 def _others(rows: Sequence[StudyRow]) -> TextTable:
     """Other numbers of the ego, such as user-defined metrics, a line each."""
     table_series = {(column.estimator, column.metric) for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
@@ -174,7 +148,7 @@ def _others(rows: Sequence[StudyRow]) -> TextTable:
     ]
 
     def cells(each: StudySeries) -> list[str]:
-        return [_over_trials(row.estimates.get(each, SeriesEstimate())) for row in rows]
+        return [_over_trials(row.estimates.get(each, Statistic())) for row in rows]
 
     lines = [
         [f"{each.estimator} {each.metric}", *cells(each)]
@@ -183,10 +157,7 @@ def _others(rows: Sequence[StudyRow]) -> TextTable:
             each.metric.endswith("_iob") and all(row.estimates[each].unchanged for row in rows if each in row.estimates)
         )
     ]
-    caption = (
-        "Mean and 95 % interval over seeds of these scenes. Names that end in _iob are differences from the baseline, "
-        "left out where there is none in any trial."
-    )
+    caption = paragraph("other_numbers")
     if any(row.estimates[each].mostly_zero for row in rows for each in series if each in row.estimates):
         caption = f"{caption} {MOSTLY_ZERO}"
     headings = ["", *(row.label for row in rows)]
@@ -205,8 +176,17 @@ def _causes(rows: Sequence[StudyRow], estimator: str, outcome: str) -> TextTable
     return TextTable(title, "", ["", *causes], lines, 1, terminal=estimator == "picture")
 
 
-def _over_trials(estimate: SeriesEstimate, *, marked: bool = False) -> str:
+def _over_trials(estimate: Statistic, *, marked: bool = False) -> str:
     return _cell(value(estimate), bounds(estimate), marked=marked)
+
+
+def _cell_of(row: StudyRow, column: StudyColumn) -> str:
+    return _over_trials(column.of(row))
+
+
+def _to_scenes(row: StudyRow, column: StudyColumn) -> str:
+    """With the interval to other scenes."""
+    return _cell(value(column.of(row)), bounds(column.of(row), scenes=True))
 
 
 def _cell(text: str, below: str, *, marked: bool = False) -> str:
@@ -287,18 +267,8 @@ def as_markdown(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
 
 
 #: The numbers of an estimate in table.csv: heading and field.
-_NUMBERS = {
-    "mean": "mean",
-    "std_over_frames": "std",
-    "mean_over_trials": "trial_mean",
-    "low": "low",
-    "high": "high",
-    "scenes_low": "scenes_low",
-    "scenes_high": "scenes_high",
-    "p": "p",
-    "zero_share": "zero_share",
-    "zero_low": "zero_low",
-    "zero_high": "zero_high",
+_NUMBERS = {"mean": "mean", "std_over_frames": "std", "mean_over_trials": "value"} | {
+    name: name for name in ("low", "high", "scenes_low", "scenes_high", "p", "zero_share", "zero_low", "zero_high")
 }
 
 _MARK = "* differs significantly from 0 after Holm's correction"
@@ -314,13 +284,17 @@ def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
     series_names = ("who", "estimator", "metric")
     counts = ("scenes", "seeds", "seeds_left_out")
     headings = ["configuration", *parameters, *series_names, *_NUMBERS, "p_holm", *counts]
-    lines = []
-    for row in rows:
-        point = [row.point.get(name, "") for name in parameters]
-        for series, estimate in row.estimates.items():
-            values = [getattr(estimate, field) for field in _NUMBERS.values()]
-            texts = digits(*values, adjusted.get((row.label, series), float("nan")))
-            lines.append([row.label, *point, *series, *texts, estimate.scenes, estimate.seeds, estimate.left_out])
+    lines = [
+        [
+            *(row.label, *(row.point.get(name, "") for name in parameters), *series),
+            *digits(
+                *(getattr(each, field) for field in _NUMBERS.values()), adjusted.get((row.label, series), math.nan)
+            ),
+            *(each.scenes, each.seeds, each.seeds_left_out(len(facts.seeds))),
+        ]
+        for row in rows
+        for series, each in row.estimates.items()
+    ]
     return csv_text(headings, lines)
 
 

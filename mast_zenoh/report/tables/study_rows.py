@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from mast_zenoh.metrics.estimates import ESTIMATES, MAIN
 from mast_zenoh.metrics.measures import MEASURES
-from mast_zenoh.metrics.study_results import MIN_SEEDS, SeriesEstimate, StudyRow
+from mast_zenoh.metrics.study_results import MIN_SEEDS, Statistic, StudyRow
 from mast_zenoh.report.tables.text_table import DASH, number, whole_percent
 
 #: The warning of a table with such an increment.
@@ -26,7 +26,7 @@ class StudyColumn(NamedTuple):
     estimator: str = "picture"
     owner: str | None = None
 
-    def of(self, row: StudyRow) -> SeriesEstimate:
+    def of(self, row: StudyRow) -> Statistic:
         """The estimate that belongs in this column of a row."""
         return row.get(self.metric, self.estimator, self.owner)
 
@@ -53,72 +53,50 @@ ALL_SCORES: Groups = tuple(
 )
 ADDED: Groups = tuple((name, _of(estimator, _SCORES + _BOXES, "_iob")) for estimator, name in ESTIMATORS.items())
 
+
+def _of_all(estimator: str, columns: Mapping[str, str], *, owner: str | None = "all") -> tuple[StudyColumn, ...]:
+    """Columns of metrics by heading, of all agents or adversaries together."""
+    return tuple(StudyColumn(heading, metric, estimator, owner) for heading, metric in columns.items())
+
+
+_COMPROMISED = (
+    ("local", "compromised agents", "CAFN IoB", "CAFP IoB"),
+    ("picture", "compromised agents, by the centre", "CAFN centre", "CAFP centre"),
+)
 #: The increments by their names in the paper.
 PAPER: Groups = (
-    (
-        "compromised agents",
-        (
-            StudyColumn("CAFN IoB", "cafn_iob", "local", "compromised"),
-            StudyColumn("CAFP IoB", "cafp_iob", "local", "compromised"),
-        ),
+    *(
+        (name, _of_all(estimator, {fn: "cafn_iob", fp: "cafp_iob"}, owner="compromised"))
+        for estimator, name, fn, fp in _COMPROMISED
     ),
-    (
-        "compromised agents, by the centre",
-        (
-            StudyColumn("CAFN centre", "cafn_iob", "picture", "compromised"),
-            StudyColumn("CAFP centre", "cafp_iob", "picture", "compromised"),
-        ),
+    *(
+        (f"ERCC {name}", _of_all("picture", {f"{name} IoB": f"{key}_iob", f"{name} IoE": f"{key}_ioe"}, owner=None))
+        for name, key in (("FN", "fn"), ("FP", "fp"), ("TP", "tp"))
     ),
-    ("ERCC FN", (StudyColumn("FN IoB", "fn_iob"), StudyColumn("FN IoE", "fn_ioe"))),
-    ("ERCC FP", (StudyColumn("FP IoB", "fp_iob"), StudyColumn("FP IoE", "fp_ioe"))),
-    ("ERCC TP", (StudyColumn("TP IoB", "tp_iob"), StudyColumn("TP IoE", "tp_ioe"))),
 )
 
-
+_DONE = {
+    "lying agents": "lying_agents",
+    "of these suspended": "lying_suspended",
+    "delay s": "delay_s",
+    "honest suspended": "honest_suspended",
+    "false alarms": "false_alarms",
+    "false withheld": "withheld_false",
+    "true withheld": "withheld_true",
+}
 #: What the command centre's defence did in a run.
-DEFENCE: Groups = (
-    (
-        "defence",
-        tuple(
-            StudyColumn(heading, metric, "defence", "all")
-            for heading, metric in (
-                ("lying agents", "lying_agents"),
-                ("of these suspended", "lying_suspended"),
-                ("delay s", "delay_s"),
-                ("honest suspended", "honest_suspended"),
-                ("false alarms", "false_alarms"),
-                ("false withheld", "withheld_false"),
-                ("true withheld", "withheld_true"),
-            )
-        ),
-    ),
-)
+DEFENCE: Groups = (("defence", _of_all("defence", _DONE)),)
 
-
+_DECEIVED = {
+    "GOSPA between two m": "difference_gospa_m",
+    "deceived at a time": "deceived.share",
+    "deceived at most": "deceived.most",
+}
+_LOAD = {"busy": "busy_ratio", "frames a station sent in": "sent", "messages arrived": "arrived"}
 #: How far the pictures of agents differ and are deceived, and the load of the radio channel.
 COOPERATION: Groups = (
-    (
-        "pictures of the agents",
-        tuple(
-            StudyColumn(heading, metric, "pictures", "all")
-            for heading, metric in (
-                ("GOSPA between two m", "difference_gospa_m"),
-                ("deceived at a time", "deceived.share"),
-                ("deceived at most", "deceived.most"),
-            )
-        ),
-    ),
-    (
-        "radio channel",
-        tuple(
-            StudyColumn(heading, metric, "channel", "all")
-            for heading, metric in (
-                ("busy", "busy_ratio"),
-                ("frames a station sent in", "sent"),
-                ("messages arrived", "arrived"),
-            )
-        ),
-    ),
+    ("pictures of the agents", _of_all("pictures", _DECEIVED)),
+    ("radio channel", _of_all("channel", _LOAD)),
 )
 
 #: The estimator of what adversaries achieved.
@@ -140,7 +118,7 @@ def columns_of(groups: Groups) -> list[StudyColumn]:
 
 def unchanged(rows: Iterable[StudyRow], columns: Sequence[StudyColumn]) -> bool:
     """Whether all increments that are known are 0 in every trial."""
-    known = [each for row in rows for column in columns if not math.isnan((each := column.of(row)).trial_mean)]
+    known = [each for row in rows for column in columns if not math.isnan((each := column.of(row)).value)]
     return bool(known) and all(each.unchanged for each in known)
 
 
@@ -153,7 +131,7 @@ def present(rows: Sequence[StudyRow], groups: Groups) -> Groups:
     )
 
 
-def over_frames(estimate: SeriesEstimate) -> str:
+def over_frames(estimate: Statistic) -> str:
     """`3.42 ± 1.20`."""
     if math.isnan(estimate.mean):
         return DASH
@@ -161,7 +139,7 @@ def over_frames(estimate: SeriesEstimate) -> str:
     return mean if math.isnan(estimate.std) else f"{mean} ± {number(estimate.std)}"
 
 
-def over_trials(estimate: SeriesEstimate) -> str:
+def over_trials(estimate: Statistic) -> str:
     """Mean and interval: `3.42 [3.10, 3.80]`, or the reason for none: `3.42 (n < 5)`.
 
     Success rates are in per cent.
@@ -169,20 +147,20 @@ def over_trials(estimate: SeriesEstimate) -> str:
     return f"{value(estimate)} {bounds(estimate)}".strip()
 
 
-def value(estimate: SeriesEstimate) -> str:
+def value(estimate: Statistic) -> str:
     """The mean over trials alone: `3.42`, a success rate as `85 %`."""
-    mean = estimate.trial_mean
+    mean = estimate.value
     return f"{whole_percent(mean)} %" if estimate.rate and not math.isnan(mean) else number(mean, _digits(estimate))
 
 
-def bounds(estimate: SeriesEstimate, *, scenes: bool = False) -> str:
+def bounds(estimate: Statistic, *, scenes: bool = False) -> str:
     """`[3.10, 3.80]`, or why there is no interval; scenes: that to other scenes."""
     low, high = (estimate.scenes_low, estimate.scenes_high) if scenes else (estimate.low, estimate.high)
     if not math.isnan(low):
         digits = _digits(estimate)
         ends = (whole_percent(end) if estimate.rate else number(end, digits) for end in (low, high))
         return f"[{', '.join(ends)}]"
-    if scenes or math.isnan(estimate.trial_mean):
+    if scenes or math.isnan(estimate.value):
         return ""
     if estimate.mostly_zero:
         share, first, last = map(whole_percent, (estimate.zero_share, estimate.zero_low, estimate.zero_high))
@@ -190,7 +168,7 @@ def bounds(estimate: SeriesEstimate, *, scenes: bool = False) -> str:
     return f"(n < {MIN_SEEDS})" if estimate.seeds < MIN_SEEDS else "(all equal)"
 
 
-def _digits(estimate: SeriesEstimate) -> int:
+def _digits(estimate: Statistic) -> int:
     """Decimals that show the width of the interval: two, more where it would vanish."""
     half = (estimate.high - estimate.low) / 2.0
     return 2 if math.isnan(half) or half >= 0.01 else min(5, math.ceil(-math.log10(half)))

@@ -15,6 +15,7 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.metrics import Table
 from mast_zenoh.metrics.study_results import Row, Statistic
+from mast_zenoh.report.findings.words import paragraph
 from mast_zenoh.report.tables.text_table import (
     ResultTables,
     number,
@@ -159,11 +160,11 @@ class Breakdown(Kind):
         Then those of points, in which the column `liars` is empty; shares from 0 to 1.
         """
         rows, points = table
-        of_points = table_of_rows("Breakdown points", _ABOUT_POINTS, points, _points_columns(rows))
+        of_points = table_of_rows("Breakdown points", paragraph("breakdown_points"), points, _points_columns(rows))
         short = table_of_rows("Broken trials (%)", "", rows, _BRIEF, {"attack": "attack"})
         return ResultTables(
             "Breakdown point",
-            f"{self.size}. {_ABOUT}",
+            f"{self.size}. {paragraph('breakdown_about')}",
             self.size,
             [of_points, table_of_rows("Broken trials", _ABOUT_ROWS, rows, _COLUMNS)],
             numbers_of_rows([*rows, *points]),
@@ -189,19 +190,16 @@ def _point(of: dict[str, Any], shares: Mapping[float, Mapping[str, Floats]]) -> 
     measures = np.array([[each["broken"], 1.0 - each["honest_majority"]] for each in shares.values()])
     measures = measures[:, :, ~np.isnan(measures).all(axis=(0, 1))]
 
-    def broken(trials: Ints) -> float:
-        return mean_crossing([*shares], measures[:, 0, trials])
-
-    def bound(trials: Ints) -> float:
-        return mean_crossing([*shares], measures[:, 1, trials])
-
-    def difference(trials: Ints) -> float:
-        of_bound = bound(trials)
-        return math.nan if math.isinf(of_bound) else broken(trials) - of_bound
+    def crossings(trials: Ints) -> dict[str, float]:
+        point, bound = (mean_crossing([*shares], measures[:, at, trials]) for at in (0, 1))
+        return {"point": point, "bound": bound, "difference": math.nan if math.isinf(bound) else point - bound}
 
     count = measures.shape[2]
-    numbers = {"point": broken, "bound": bound, "difference": difference}
-    return Row(of, count, {f"breakdown_{name}": pooled(each, count) for name, each in numbers.items()})
+    numbers = {
+        f"breakdown_{name}": pooled(lambda trials, name=name: crossings(trials)[name], count)  # type: ignore[misc]
+        for name in ("point", "bound", "difference")
+    }
+    return Row(of, count, numbers)
 
 
 def _mean(values: Floats) -> float:
@@ -228,14 +226,10 @@ def crossing(x: ArrayLike, y: ArrayLike) -> float:
     if not len(at):
         raise ValueError("x: found no points, expected one or more")
     reached = share >= HALF - _ROUNDING
-    if not reached.any():
-        return math.inf
     after = int(reached.argmax())
-    if after == 0:
-        return float(at[0])
-    before = after - 1
-    fraction = min(1.0, (HALF - share[before]) / (share[after] - share[before]))
-    return float(at[before] + fraction * (at[after] - at[before]))
+    if after == 0 or not reached.any():
+        return float(at[0]) if reached.any() else math.inf
+    return float(np.interp(HALF, share[after - 1 : after + 1], at[after - 1 : after + 1]))
 
 
 def mean_crossing(x: Sequence[float], values: Floats) -> float:
@@ -247,16 +241,6 @@ def mean_crossing(x: Sequence[float], values: Floats) -> float:
 
 # -- what readers see --------------------------------------------------------------------------------------------------
 
-_ABOUT = (
-    "A trial is broken if the ego's picture has more missed and false objects than its own tracks from the start of "
-    "the attack on, or if an honest agent is suspended before any liar. A suspension that happens in the run without "
-    "liars of the same scene and seed, too, is a false alarm that no liar caused: it counts only as a suspended honest "
-    "agent."
-)
-_ABOUT_POINTS = (
-    "Smallest share of liars at which half of the trials are broken, next to that at which half of the objects have no "
-    "honest majority of viewers. Bootstrap 95 % intervals over trials."
-)
 _ABOUT_ROWS = "With the 95 % interval of Clopper and Pearson."
 _COLUMNS = {
     "liars (%)": lambda row: f"{100.0 * _share(row):.0f}",
@@ -312,13 +296,8 @@ def _points_columns(rows: Sequence[Row]) -> dict[str, Callable[[Row], str]]:
 
 
 def _in_words(rows: Sequence[Row], points: Sequence[Row]) -> str:
-    parts = []
-    for point in points:
-        numbers = (point[name].value for name in ("breakdown_point", "breakdown_bound"))
-        most = f"above {100.0 * _most(rows, point):.0f} %"
-        values = (most if math.isinf(each) else f"{100.0 * each:.0f} %" for each in numbers)
-        parts.append("{}, {} agents: {}, bound {}".format(*point.of.values(), *values))
-    return f"Half of the trials are broken at: {'; '.join(parts)}." if parts else ""
+    reached = [(point, _most(rows, point)) for point in points]
+    return paragraph("breakdown_points_reached", points=reached)
 
 
 def _figure(rows: Sequence[Row], words: str, size: str) -> RenderedFigure:
@@ -347,9 +326,5 @@ def _figure(rows: Sequence[Row], words: str, size: str) -> RenderedFigure:
             axes.plot([row.of["share"] for row in of_curve], without, color=colour, **style)
     bound = Line2D([], [], color=LOCAL, label="objects without an honest majority", **style)
     legend_above(figure, bound)
-    caption = (
-        f"Lines with markers: broken trials with 95 % intervals ({size}). A trial is broken if the picture is "
-        "worse than the ego alone, or an honest agent is suspended before any liar. Dashed: objects without an honest "
-        "majority of viewers, the bound of identification."
-    )
+    caption = paragraph("figure_breakdown", size=size)
     return render("breakdown", figure, f"Broken trials over the share of liars. {words}", caption, printed=True)

@@ -21,6 +21,13 @@ from mast_zenoh.scenario import choose_scene, victims_of
 from mast_zenoh.scenario.reading import name_of_file
 from mast_zenoh.streams import stream
 
+#: What study files and scenarios import from `mast_zenoh.study.defences`.
+__all__ = [
+    *("COORDINATED", "PLACEMENTS", "UNCOORDINATED", "adversary_base", "faults_of", "has_budget"),
+    *("junctions", "matrix_study", "measured_by", "parse_choices", "place", "resolve_choice"),
+    *("scenes_of_kinds", "sensors_of", "several", "short_name", "with_preset", "words"),
+]
+
 #: The name of a class, FILE.py or FILE.py:CLASS; or a dict with one of these as `type`, and parameters.
 Choice = str | dict[str, Any]
 _EXPECTED = "expected a name, a file or a dict with `type`"
@@ -281,38 +288,40 @@ def honest_majority(points: ArrayLike, malicious: ArrayLike) -> float:
 
 def matrix_study(
     *,
-    defences: Sequence[Choice],
-    adversaries: Sequence[Choice],
-    counts: Sequence[int],
-    placements: Sequence[str],
-    budgets: Sequence[float | None],
+    defences: str | Sequence[Choice],
+    adversaries: str | Sequence[Choice],
+    counts: int | Sequence[int],
+    placements: str | Sequence[str],
+    budgets: float | Sequence[float | None],
     parameters: Mapping[str, Any],
 ) -> dict[str, Any]:
     """The keys `runs` and `baseline` of a study of every defence against every adversary.
 
-    adversaries: none for runs without an attack alone
+    defences, adversaries: as for `parse_choices`; no adversaries for runs without an attack alone
     counts: numbers of adversaries; 0 stands for one run per defence without an attack, and is always included
     budgets: of each adversary that has one;  parameters: of the scenario, for all runs
     The factors of each run: defence, attack ("" without adversaries, or a fault: then faulty agents take their places),
     n_adversaries, placement, budget, lies per second of each adversary (None: the attack's own, or it has none), and
     attack_start_s. Raises ConfigurationError.
     """
-    for placement in placements:
+    choices, adversaries = parse_choices(defences, "defences"), parse_choices(adversaries, "adversaries")
+    for placement in words(placements):
         if placement not in PLACEMENTS:
             raise ConfigurationError(f"placements: found {placement!r}{nearest(placement, PLACEMENTS)}")
-    for count in counts:
+    for count in several(counts):
         if type(count) is not int or count < 0:
             raise ConfigurationError(f"counts: found {count!r}, expected whole numbers, 0 or more, such as [1, 2]")
-    if UNDEFENDED not in defences:  # the reference of all others
-        defences = [UNDEFENDED, *defences]
+    if UNDEFENDED not in choices:  # the reference of all others
+        choices = [UNDEFENDED, *choices]
+    numbers = sorted({*several(counts)} - {0})
     runs: dict[str, Any] = {}
-    for defence in defences:
+    for defence in choices:
         alone = {"defence": short_name(defence), "attack": "", "n_adversaries": 0, "placement": "", "budget": None}
         alone["attack_start_s"] = parameters.get("attack_start_s")
         cells = [(f"{alone['defence']} alone", alone, {"n_adversaries": 0})]
         for attack in adversaries:
-            own_budgets = budgets if has_budget(attack) else (None,)
-            for count, placement, budget in itertools.product(sorted({*counts} - {0}), placements, own_budgets):
+            own_budgets = several(budgets) if has_budget(attack) else [None]
+            for count, placement, budget in itertools.product(numbers, words(placements), own_budgets):
                 label = f"{alone['defence']} {short_name(attack).replace(':', ' ')} {count} {placement}"
                 label += "" if budget is None else f" budget {budget:g}"
                 place = {"n_adversaries": count, "placement": placement, "budget": budget}

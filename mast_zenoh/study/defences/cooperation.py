@@ -17,6 +17,7 @@ from mast_zenoh.metrics.causes import ATTACK_CAUSES
 from mast_zenoh.metrics.estimates import LOCAL, PICTURE
 from mast_zenoh.metrics.significance import clearest
 from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Row, Statistic
+from mast_zenoh.report.findings.words import of_study, paragraph
 from mast_zenoh.report.tables.text_table import (
     DASH,
     FEW_TRIALS,
@@ -162,7 +163,7 @@ class Cooperation(Kind):
         summary, title = conclusion(table), "Fusion architectures"
         return ResultTables(
             title,
-            f"{self.size}. {summary} {_ABOUT}",
+            f"{self.size}. {summary} {paragraph('cooperation_about')}",
             self.size,
             [
                 table_of_rows("Lies", "", table, _LIES),
@@ -182,10 +183,7 @@ class Cooperation(Kind):
 
         panels = [Axis(*panel) for panel in _PANELS]
         figure = facet(table, "agents", panels, "architecture", columns=2, label="agents", log=True)
-        caption = (
-            "Errors are missed and false objects in the ego's picture. Bars: 95 % intervals over trials "
-            f"({self.size}). An agent is deceived if its picture has an error that an adversary caused."
-        )
+        caption = paragraph("figure_cooperation", size=self.size)
         return {self.name: render(self.name, figure, conclusion(table), caption, printed=True)}
 
 
@@ -200,10 +198,6 @@ def _traffic(each: Statistic) -> str:
     return number(each.value, 1)
 
 
-_ABOUT = (
-    "Missed and false objects per frame in the ego's picture from the start of the attack on. Each trial with a lie is "
-    "paired with the one without of the same scene and seed; 95 % intervals of Student's t over seeds."
-)
 _LIES = {
     "trials": lambda row: str(row.trials),
     "vehicles with sensors (%)": shown("penetration", _share),
@@ -249,16 +243,5 @@ def conclusion(rows: Sequence[Row]) -> str:
     agents = rows[-1].of["agents"]
     by_name = {str(row.of["architecture"]): row.numbers for row in rows if row.of["agents"] == agents}
     first, *others = by_name
-    harms = ", ".join(f"{name} {measured(each['harm'])}" for name, each in by_name.items())
-    deceived = ", ".join(f"{name} {percent(each['deceived'], ' %')}" for name, each in by_name.items())
-    differences = {name: by_name[name]["harm_difference"] for name in others}
-    clear = clearest(differences)
-    differ = [f"{name} (by {measured(differences[name])})" for name in others if name in clear]
-    alike = [name for name in others if name not in clear]
-    sentences = [
-        f"With {agents} agents, the lies add so many errors per frame to the ego's picture: {harms}.",
-        f"Agents deceived at a time: {deceived}.",
-        f"Different from {first}: {', '.join(differ)}." if differ else "",
-        f"No difference from {first} is shown for {', '.join(alike)}." if alike else "",
-    ]
-    return " ".join(filter(None, sentences))
+    clear = clearest({name: by_name[name]["harm_difference"] for name in others})
+    return " ".join(of_study("cooperation", agents=agents, first=first, rows=by_name, clear=clear))

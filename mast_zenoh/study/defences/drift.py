@@ -21,14 +21,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Row, Statistic
+from mast_zenoh.report.findings.words import paragraph
 from mast_zenoh.report.tables.text_table import (
     FEW_TRIALS,
     ResultTables,
@@ -69,8 +69,7 @@ def _offsets(table: Mapping[str, NDArray[Any]]) -> dict[tuple[int, int], float]:
     return dict(zip(keys, np.nan_to_num(shift).tolist(), strict=True))
 
 
-@dataclass(frozen=True, slots=True)
-class ViewerRange:
+class ViewerRange(NamedTuple):
     """A range of numbers of honest viewers: at least `least`, at most `most` (None: any number)."""
 
     least: int
@@ -79,16 +78,13 @@ class ViewerRange:
     @property
     def title(self) -> str:
         """How tables call it."""
-        if self.most is None:
-            return f"{self.least} or more"
-        return str(self.least)
+        return f"{self.least} or more" if self.most is None else str(self.least)
 
 
-@dataclass(frozen=True, slots=True)
-class Episode:
-    """An object that was displaced in view of witnesses.
+class Episode(NamedTuple):
+    """An object that was displaced in view of witnesses; or a whole run from its first lie on.
 
-    length_s:  for how long, whether the liar was suspended or not
+    length_s:  for how long, whether the liar was suspended or not; infinite: a whole run
     watched_s: until the suspension, or else `length_s`;  detected: whether the liar was suspended
     speed_up:  mean of `speed_up` over the watched time: one witness alone would need that much longer
     offset_m:  largest offset in the watched time
@@ -97,39 +93,25 @@ class Episode:
     length_s: float
     watched_s: float
     detected: bool
-    speed_up: float
-    offset_m: float
-
-    def judged_within(self, limit_s: float) -> bool:
-        """Whether it lasted long enough to say if it is detected within a time."""
-        return self.length_s >= limit_s - _ROUNDING_S
-
-    def detected_within(self, limit_s: float) -> bool:
-        """Whether its liar was suspended within a time."""
-        return self.detected and self.watched_s <= limit_s + _ROUNDING_S
+    speed_up: float = NAN
+    offset_m: float = NAN
 
 
-#: What rows are of, besides viewers.
-_CELL = ("label", "offset_m", "rate_mps")
-#: Measures: counts, numbers without an interval, and with one.
-_COUNTS, _PLAIN = ("episodes", "detected", "judged"), ("floor_s", "floor_m")
+#: Measures without an interval, and with one.
+_PLAIN = ("floor_s", "floor_m")
 _MEASURED = ("delay_s", "ratio", "offset_reached_m", "within", "noticed")
 
 #: Two or more: a majority against the liar. One or more: everything that could be noticed at all.
 _OPEN_RANGES = (ViewerRange(2, None), ViewerRange(1, None))
 
 
-def episodes_of(measures: Mapping[str, Any], viewers: ViewerRange) -> list[Episode]:
-    """The displaced objects of a trial in view of a number of honest agents."""
-    return episodes(**measures["displaced"], suspended_s=measures["suspended_s"], viewer_range=viewers)
-
-
-def whole_delay(measures: Mapping[str, Any]) -> tuple[float, bool] | None:
-    """s from the first lie to the suspension, or to the end of the run, and whether there was one; None: no lie."""
+def whole_run(measures: Mapping[str, Any]) -> list[Episode]:
+    """From the first lie to the suspension, or to the end of the run; [] without a lie."""
     first_s, suspended_s = measures["first_lie_s"], measures["suspended_s"]
     if first_s is None:
-        return None
-    return max((measures["end_s"] if suspended_s is None else suspended_s) - first_s, 0.0), suspended_s is not None
+        return []
+    end_s = measures["end_s"] if suspended_s is None else suspended_s
+    return [Episode(math.inf, max(end_s - first_s, 0.0), suspended_s is not None)]
 
 
 class Drift(Kind):
@@ -193,10 +175,14 @@ class Drift(Kind):
         rows = []
         for factors, by_trial in self.trials.items():
             trials = list(by_trial.values())
-            rows.append(_whole_runs(factors, trials))
+            rows.append(_row(factors, "", [whole_run(each) for each in trials]))
             most = max((max(each["displaced"]["viewers"], default=0) for each in trials), default=0)
             for viewers in (*(ViewerRange(count, count) for count in range(1, most + 1)), *_OPEN_RANGES):
-                rows.append(_row(factors, viewers, [episodes_of(each, viewers) for each in trials]))
+                of_trials = [
+                    episodes(**each["displaced"], suspended_s=each["suspended_s"], viewer_range=viewers)
+                    for each in trials
+                ]
+                rows.append(_row(factors, viewers.title, of_trials))
         return rows
 
     def tables(self, table: Sequence[Row]) -> ResultTables:
@@ -215,7 +201,7 @@ class Drift(Kind):
         few = any(each.known and not each.interval and each.trials < MIN_SEEDS for each in delays)
         return ResultTables(
             "Displaced objects",
-            f"{self.size}. {_ABOUT}",
+            f"{self.size}. {paragraph('drift_about')}",
             self.size,
             tables if drifting else tables[:-1],
             _wide(table),
@@ -224,79 +210,51 @@ class Drift(Kind):
         )
 
 
-def one_witness_floor_s(factors: Mapping[str, Any]) -> float:
-    """s until one witness can know."""
-    rate_mps = factors["rate_mps"]
-    return offset_floor_s(factors["offset_m"]) if rate_mps is None else drift_floor_s(rate_mps)
-
-
-def _whole_runs(factors: Factors, trials: Sequence[Mapping[str, Any]]) -> Row:
-    delays = [delay for each in trials if (delay := whole_delay(each)) is not None]
-    numbers = dict.fromkeys((*_COUNTS, *_PLAIN, *_MEASURED), Statistic()) | {
-        "episodes": _count(len(delays)),
-        "detected": _count(sum(detected for _, detected in delays)),
-        "judged": _count(len(delays)),
-        "delay_s": _bootstrap(delays, _median),
-        "within": share_of_trials(sum(detected and delay <= LIMIT_S + 1e-6 for delay, detected in delays), len(delays)),
-        "noticed": _bootstrap(delays, _noticed),
-    }
-    return Row(_of(factors, ""), len(delays), numbers)
-
-
-def _of(factors: Factors, viewers: str) -> dict[str, Any]:
-    offset_m, rate_mps = factors["offset_m"], factors["rate_mps"]
-    lie = f"offset {offset_m:g} m" if rate_mps is None else f"drift {rate_mps:g} mps"
-    label = f"{factors['agents']} agents {lie}"
-    return {"label": label, "offset_m": offset_m, "rate_mps": rate_mps, "viewers": viewers}
-
-
-def _count(number_of: int) -> Statistic:
-    return Statistic(float(number_of))
-
-
-def _row(factors: Factors, viewers: ViewerRange, by_trial: Sequence[Sequence[Episode]]) -> Row:
-    """A row of one range of viewers; by_trial: the episodes of each trial, which may have none."""
+def _row(factors: Factors, viewers: str, by_trial: Sequence[Sequence[Episode]]) -> Row:
+    """A row of whole runs (viewers: ""), or of one range of viewers; by_trial: episodes of each trial, or none."""
     trials = [each for each in by_trial if each]
     every = [episode for each in trials for episode in each]
-    single_s, rate_mps = one_witness_floor_s(factors), factors["rate_mps"]
+    offset_m, rate_mps = factors["offset_m"], factors["rate_mps"]
+    lie = f"offset {offset_m:g} m" if rate_mps is None else f"drift {rate_mps:g} mps"
+    single_s = offset_floor_s(offset_m) if rate_mps is None else drift_floor_s(rate_mps)
     weight = sum(episode.watched_s for episode in every)
-    speed_up = sum(episode.speed_up * episode.watched_s for episode in every) / weight if weight else NAN
-    floor_s = single_s / speed_up if speed_up else NAN
+    faster = sum(episode.speed_up * episode.watched_s for episode in every) / weight if weight else NAN
+    floor_s = single_s / faster if faster else NAN
 
-    def times(units: Sequence[Sequence[Episode]]) -> list[tuple[float, bool]]:
-        return [(episode.watched_s, episode.detected) for unit in units for episode in unit]
+    def over_episodes(
+        of: Callable[[Sequence[tuple[float, bool]]], float], value: Callable[[Episode], float]
+    ) -> Statistic:
+        def pool(rows: Ints) -> float:
+            return of([(value(each), each.detected) for row in rows.tolist() for each in trials[row]])
 
-    def median(value: Callable[[Episode], float]) -> Callable[[Sequence[Sequence[Episode]]], float]:
-        return lambda units: _median([(value(e), e.detected) for unit in units for e in unit])
+        return pooled(pool, len(trials))
 
     # The first object of each trial that lasted long enough: trials are independent, objects of one trial are not.
-    judged = [each for trial in trials if (each := next((e for e in trial if e.judged_within(LIMIT_S)), None))]
-    drifting = rate_mps is not None
-    numbers = {
-        "episodes": _count(len(every)),
-        "detected": _count(sum(episode.detected for episode in every)),
-        "judged": _count(len(judged)),
+    long = [[each for each in trial if each.length_s >= LIMIT_S - _ROUNDING_S][:1] for trial in trials]
+    judged = [each for trial in long for each in trial]
+    within = sum(each.detected and each.watched_s <= LIMIT_S + _ROUNDING_S for each in judged)
+    counts = {"episodes": len(every), "detected": sum(each.detected for each in every), "judged": len(judged)}
+    numbers = {name: Statistic(float(count)) for name, count in counts.items()} | {
         "floor_s": Statistic(floor_s),
-        "floor_m": Statistic(floor_s * rate_mps if drifting else NAN),
-        "delay_s": _bootstrap(trials, median(lambda e: e.watched_s)),
-        "ratio": _bootstrap(trials, median(lambda e: e.watched_s * e.speed_up / single_s)),
-        "offset_reached_m": _bootstrap(trials, median(lambda e: e.offset_m)) if drifting else Statistic(),
-        "within": share_of_trials(sum(each.detected_within(LIMIT_S) for each in judged), len(judged)),
-        "noticed": _bootstrap(trials, lambda units: _noticed(times(units))),
+        "floor_m": Statistic(NAN if rate_mps is None else floor_s * rate_mps),
+        "delay_s": over_episodes(_median, lambda each: each.watched_s),
+        "ratio": over_episodes(_median, lambda each: each.watched_s * each.speed_up / single_s)
+        if viewers
+        else Statistic(),
+        "offset_reached_m": over_episodes(_median, lambda each: each.offset_m)
+        if viewers and rate_mps is not None
+        else Statistic(),
+        "within": share_of_trials(within, len(judged)),
+        "noticed": over_episodes(_noticed, lambda each: each.watched_s),
     }
-    return Row(_of(factors, viewers.title), len(trials), numbers)
-
-
-def _bootstrap(trials: Sequence[Any], statistic: Callable[[Any], float]) -> Statistic:
-    return pooled(lambda rows: statistic([trials[row] for row in rows.tolist()]), len(trials))
+    of = {"label": f"{factors['agents']} agents {lie}", "offset_m": offset_m, "rate_mps": rate_mps, "viewers": viewers}
+    return Row(of, len(trials), numbers)
 
 
 def _median(times: Sequence[tuple[float, bool]]) -> float:
     """Median of times, some of them censored: infinite if fewer than half were detected, NaN without any."""
-    if not times:
-        return NAN
-    median = kaplan_meier(*zip(*times, strict=True)).median_s
-    return math.inf if math.isnan(median) else median
+    median = kaplan_meier(*zip(*times, strict=True)).median_s if times else math.nan
+    return math.inf if times and math.isnan(median) else median
 
 
 def _noticed(times: Sequence[tuple[float, bool]]) -> float:
@@ -394,10 +352,6 @@ def _check(name: str, value: float) -> None:
 
 # -- what readers see --------------------------------------------------------------------------------------------------
 
-_ABOUT = (
-    "Medians by Kaplan and Meier with bootstrap 95 % intervals over trials; shares with the interval of Clopper and "
-    "Pearson. The floor is the least delay that is possible at one false alarm per hour."
-)
 _RUNS = "From the first lie to the suspension"
 _OFFSETS = "Offset that a drift reaches"
 _OBJECTS = "For each displaced object, by the number of honest agents that see it"
@@ -410,48 +364,47 @@ def _share(each: Statistic) -> str:
 
 
 def _share_of_judged(row: Row) -> str:
-    within = row["within"]
-    return _share(within) + (f" of {whole(row['judged'])}" if within.known else "")
-
-
-def _plain(each: Statistic) -> str:
-    return number(each.value)
-
-
-def _trials(row: Row) -> str:
-    return str(row.trials)
+    return _share(row["within"]) + (f" of {whole(row['judged'])}" if row["within"].known else "")
 
 
 def _wide(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
     """The headings and lines of the CSV file, with a line for each row."""
     ends = [f"{name}{end}" for name in _MEASURED for end in ("", "_low", "_high")]
+    headings = ["label", "offset_m", "rate_mps", "viewers", "episodes", "detected", "trials", "judged", *_PLAIN, *ends]
     lines = [
         [
-            *(*row.of.values(), *(whole(row[name]) for name in ("episodes", "detected")), row.trials),
-            *(whole(row["judged"]), *digits(*(row[name].value for name in _PLAIN))),
-            *(text for name in _MEASURED for text in digits(*row[name][:3])),
+            *(*row.of.values(), whole(row["episodes"]), whole(row["detected"]), row.trials, whole(row["judged"])),
+            *digits(*(row[name].value for name in _PLAIN), *(end for name in _MEASURED for end in row[name][:3])),
         ]
         for row in rows
     ]
-    return [*_CELL, "viewers", "episodes", "detected", "trials", "judged", *_PLAIN, *ends], lines
+    return headings, lines
 
 
+_COUNTED = {"runs": lambda row: str(row.trials)}
 _OF_RUNS = {
-    "runs": _trials,
+    **_COUNTED,
     "suspended": shown("detected", whole),
     "median delay (s)": shown("delay_s"),
     _WITHIN: shown("within", _share),
 }
-_FLOORS = {"floor (s)": shown("floor_s", _plain), "delay / floor": shown("ratio"), _WITHIN: _share_of_judged}
+_FLOORS = {
+    "floor (s)": shown("floor_s", lambda each: number(each.value)),
+    "delay / floor": shown("ratio"),
+    _WITHIN: _share_of_judged,
+}
 _OF_OBJECTS = {
     "objects": shown("episodes", whole),
-    "runs": _trials,
+    **_COUNTED,
     "detected": shown("detected", whole),
     "median delay (s)": shown("delay_s"),
     **_FLOORS,
     f"{_WITHIN} (Kaplan-Meier, all episodes)": shown("noticed", _share),
 }
-_OF_DRIFTS = {"median offset (m)": shown("offset_reached_m"), "at the floor (m)": shown("floor_m", _plain)}
+_OF_DRIFTS = {
+    "median offset (m)": shown("offset_reached_m"),
+    "at the floor (m)": shown("floor_m", lambda each: number(each.value)),
+}
 _BRIEF = {
     "detected": lambda row: f"{whole(row['detected'])} of {whole(row['episodes'])}",
     "delay (s)": shown("delay_s"),

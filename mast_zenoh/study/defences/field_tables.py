@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from mast_zenoh.metrics.study_results import Row, Statistic
+from mast_zenoh.report.findings.words import paragraph
 from mast_zenoh.report.tables.text_table import (
     BOUNDS,
     DASH,
@@ -24,7 +25,7 @@ from mast_zenoh.report.tables.text_table import (
 from mast_zenoh.study.defences.matrix_tables import (
     ABOUT_IDLE,
     CELL,
-    IDLE,
+    cell_text,
     csv_rows,
     defence_tables,
 )
@@ -55,19 +56,6 @@ QUANTITIES = {
 
 
 ALL_SCENES = "all"
-#: Below tables with a breakdown.
-_ABOUT_BREAKING = (
-    "A run is broken if the ego's picture has more missed and false objects than its own tracks from the start of the "
-    "attack on, or an honest agent is suspended before any adversary that is not suspended without an attack, too: "
-    "false alarms that happen anyway break nothing. A defence breaks at the number of adversaries at which half of "
-    "the runs of all attacks are broken: interpolated, or \u2264 the only number that was played. It is weakest "
-    "against the attack with the smallest such number, a minimum of few trials."
-)
-#: Below summaries.
-_ABOUT_ADDED = (
-    "What attacks add is missed and false objects, compared with the same defence without an attack: what a defence "
-    f"removes of the sensors' own errors does not count. {_ABOUT_BREAKING}"
-)
 
 
 def field_tables(table: FieldTable) -> ResultTables:
@@ -76,7 +64,7 @@ def field_tables(table: FieldTable) -> ResultTables:
     The CSV has all lines of the matrix, and those by kind of scene, with the column `scene` (empty: all).
     """
     added = _added_to_summaries(table)
-    of_matrix = defence_tables(table.matrix, added, f" {_ABOUT_ADDED}" if added else "")
+    of_matrix = defence_tables(table.matrix, added, paragraph("field_added") if added else "")
     board = scoreboard_tables(table)
     others, last = of_matrix.tables[:-1], of_matrix.tables[-1:]  # the last is the summary, if there is any
     own = [*(_harm(table, scene) for scene in table.scenes), _processor_time(table), _breakdown(table)]
@@ -94,16 +82,13 @@ def _added_to_summaries(table: FieldTable) -> dict[str, Callable[[Row], str]]:
     """Columns of the summary of the matrix; {} without an attack."""
     own = {row.of["defence"]: row for row in table.summaries}
     breaks_at = {each.of["defence"]: each for each in table.breakdowns if not each.of["scene"]}
-
-    def number_of(name: str, decimals: int = 2) -> Callable[[Row], str]:
-        return lambda row: measured(own[row.of["defence"]][name], decimals)
-
-    columns = {
-        QUANTITIES["harm_removed"]: number_of("harm_removed", 3),
+    relative = "{}, relative to undefended".format
+    columns: dict[str, Callable[[Row], str]] = {
+        QUANTITIES["harm_removed"]: lambda row: measured(own[row.of["defence"]]["harm_removed"], 3),
         "breaks at (adversaries)": lambda row: _breaks_at(breaks_at[row.of["defence"]]),
         "weakest against": lambda row: _weakest(breaks_at[row.of["defence"]]),
-        "processor time without an attack, relative to undefended": number_of("cpu_ratio_alone"),
-        "processor time under attack, relative to undefended": number_of("cpu_ratio_attacked"),
+        relative("processor time without an attack"): lambda row: measured(own[row.of["defence"]]["cpu_ratio_alone"]),
+        relative("processor time under attack"): lambda row: measured(own[row.of["defence"]]["cpu_ratio_attacked"]),
     }
     return columns if own else {}
 
@@ -112,30 +97,30 @@ def _harm(table: FieldTable, scene: str) -> TextTable:
     """A line for each attack, and a column for each defence."""
     rows = [row for row in table.rows if row.of["scene"] == scene]
     defences = table.matrix.names("defence")[1:]
-    lines = []
-    for attack, count, placement in dict.fromkeys(tuple(row.of.values())[2:] for row in rows):
-        cells = [table.row(scene, defence, attack, count, placement) for defence in defences]
-        texts = (measured(cell["harm"]) + f" {IDLE}" * cell.idle for cell in cells)
-        lines.append([attack or "none", str(count), placement or DASH, *texts])
+    by_place: dict[tuple[str, int, str], dict[str, Row]] = {}
+    for row in rows:
+        by_place.setdefault(tuple(row.of.values())[2:], {})[row.of["defence"]] = row
+    lines = [
+        [attack or "none", str(count), placement or DASH, *(cell_text(cells[each], "harm") for each in defences)]
+        for (attack, count, placement), cells in by_place.items()
+    ]
     about = (
         "Missed and false objects per frame in the ego's picture with the defence, minus those without it under the "
-        "same attack. Negative: the defence helps."
+        f"same attack. Negative: the defence helps.{ABOUT_IDLE if any(row.idle for row in rows) else ''}"
     )
-    about += ABOUT_IDLE if any(row.idle for row in rows) else ""
     headings = ["adversary", "n", "placement", *defences]
     return TextTable(f"Harm with and without defence, {scene}", about, headings, lines if defences else [], 3)
 
 
 def _processor_time(table: FieldTable) -> TextTable:
-    rows = [row for row in table.rows if not row.of["scene"] and row["cpu_ms"].known]
-    about = (
-        "Of the process that plays the run: all agents, command centre, adversaries and evaluator, without the scene. "
-        "Runs with an attack are recorded, too, so compare only runs of one attack. Relative numbers are geometric "
-        "means of pairs of the same scene and seed."
-    )
-    named = [replace(row, of=row.of | {"attack": row.of["attack"] or "none"}) for row in rows]
+    about = paragraph("field_processor_time")
+    rows = [
+        replace(row, of=row.of | {"attack": row.of["attack"] or "none"})
+        for row in table.rows
+        if not row.of["scene"] and row["cpu_ms"].known
+    ]
     columns = {FIELD_MEASURES[name]: shown(name) for name in ("cpu_ms", "cpu_ratio")}
-    return table_of_rows("Processor time", about, named, columns, CELL, texts=4)
+    return table_of_rows("Processor time", about, rows, columns, CELL, texts=4)
 
 
 def _breakdown(table: FieldTable) -> TextTable:
@@ -152,7 +137,7 @@ def _breakdown(table: FieldTable) -> TextTable:
         *("defence", "scene", "agents", *(f"broken with {count} (%)" for count in counts)),
         *("breaks at (adversaries)", "of all agents (%)", "weakest against"),
     ]
-    return TextTable("Breakdown", _ABOUT_BREAKING, headings, lines, 3)
+    return TextTable("Breakdown", paragraph("field_breaking"), headings, lines, 3)
 
 
 def counts_of(breakdown: Row) -> list[int]:
@@ -211,16 +196,10 @@ def _csv_rows(table: FieldTable) -> Iterator[Row]:
 
 _PUBLISHED_TITLE = "The paper's figure, ours on tracks, why different"
 _PUBLISHED_HEADINGS = (
-    "stage or attack",
-    "after",
-    "the paper's figure",
-    "known from",
-    "ours on tracks",
-    "why different",
+    *("stage or attack", "after", "the paper's figure", "known from", "ours on tracks", "why different"),
 )
 _PUBLISHED_CSV = (
-    *("method", "source", "figure", "known_from", "measure", "defence", "attack"),
-    *(*BOUNDS, "why_different"),
+    *("method", "source", "figure", "known_from", "measure", "defence", "attack", *BOUNDS, "why_different"),
 )
 #: Widths of columns in LaTeX, shares of the line.
 _PUBLISHED_WIDTHS = (0.1, 0.13, 0.14, 0.1, 0.2, 0.2)
@@ -235,47 +214,30 @@ def published_tables(table: FieldTable) -> ResultTables:
         about = "This study played no method of which a published figure is known, so there is nothing to compare."
         return ResultTables(_PUBLISHED_TITLE, about, table.matrix.size, [], (_PUBLISHED_CSV, []), [])
     attacks = ", ".join(table.matrix.names("attack"))
-    about = (
-        f"{table.matrix.size}, attacks: {attacks}. The papers judge features and point clouds of other scenes: their "
-        "figures and ours are not the same quantity, and no row is a reproduction. Figures known from an abstract or "
-        "from notes were not checked. Ours depend on the attacks that were played. In brackets: 95 % intervals over "
-        "trials, pairs of scene and seed."
-    )
+    about = paragraph("field_published", size=table.matrix.size, attacks=attacks)
     lines = [
         [each.method, each.source, each.figure or _NO_FIGURE, each.basis, _ours(numbers), each.why]
         for each, numbers in table.published
     ]
     latex = "".join(rf"p{{{width:g}\linewidth}}" for width in _PUBLISHED_WIDTHS)
     page = TextTable("Published figures", "", _PUBLISHED_HEADINGS, lines, len(_PUBLISHED_HEADINGS), latex)
-    numbers = _PUBLISHED_CSV, list(_published_lines(table))
-    return ResultTables(_PUBLISHED_TITLE, about, table.matrix.size, [page], numbers, [])
+    numbers = [
+        [
+            *(each.method, each.source, each.figure, each.basis),
+            *(QUANTITIES[ours.quantity], ours.defence, ", ".join(ours.attacks), *bounds(ours.value), each.why),
+        ]
+        for each, of_method in table.published
+        for ours in of_method
+    ]
+    return ResultTables(_PUBLISHED_TITLE, about, table.matrix.size, [page], (_PUBLISHED_CSV, numbers), [])
 
 
 def _ours(numbers: Sequence[PublishedNumber]) -> str:
     """`lies detected (share): Cad 0.50 [0.30, 0.70], under Flood; …`, by quantity and attacks."""
     texts: dict[tuple[str, str], list[str]] = {}
     for ours in numbers:
-        texts.setdefault((ours.quantity, _under(ours.attacks)), []).append(f"{ours.defence} {_value(ours)}")
-    parts = (f"{QUANTITIES[name]}: {', '.join(values)}{under}" for (name, under), values in texts.items())
-    return "; ".join(parts) or DASH
-
-
-def _under(attacks: Sequence[str]) -> str:
-    """The attacks behind a number, named if they are few."""
-    if not attacks:
-        return ""
-    return f", under {', '.join(attacks) if len(attacks) <= _MOST_NAMED else f'all {len(attacks)} attacks'}"
-
-
-def _value(ours: PublishedNumber) -> str:
-    if ours.quantity == "median_delay_s":
-        return median_delay(ours.value)
-    return measured(ours.value, 3)
-
-
-def _published_lines(table: FieldTable) -> Iterator[list[object]]:
-    for each, numbers in table.published:
-        paper = [each.method, each.source, each.figure, each.basis]
-        for ours in numbers:
-            place = [QUANTITIES[ours.quantity], ours.defence, ", ".join(ours.attacks)]
-            yield [*paper, *place, *bounds(ours.value), each.why]
+        named = ", ".join(ours.attacks) if len(ours.attacks) <= _MOST_NAMED else f"all {len(ours.attacks)} attacks"
+        text = median_delay(ours.value) if ours.quantity == "median_delay_s" else measured(ours.value, 3)
+        under = f", under {named}" if named else ""
+        texts.setdefault((QUANTITIES[ours.quantity], under), []).append(f"{ours.defence} {text}")
+    return "; ".join(f"{name}: {', '.join(values)}{under}" for (name, under), values in texts.items()) or DASH

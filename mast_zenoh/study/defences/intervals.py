@@ -20,10 +20,8 @@ from mast_zenoh.metrics.study_results import (
     BINOMIAL,
     BOOTSTRAP,
     MIN_SEEDS,
-    MOSTLY_ZERO,
     NAN,
     POISSON,
-    STUDENT,
     Statistic,
     Survival,
 )
@@ -50,14 +48,17 @@ def mean(
     bounds: smallest and largest possible value;  scenes: their number;  paired: whether values are differences
     Of fewer than five seeds but not scenes, scenes are the units.
     """
+    each = statistics.trial_estimate(units(values, scenes), bounds, paired=paired)
+    return _at_limit(each, each.trials, bounds) if np.isnan(each.low) else each
+
+
+def units(values: ArrayLike, scenes: int) -> Floats:
+    """(scenes, seeds) a value of each trial (n,), scene by scene. Columns are the units of intervals.
+
+    Of fewer than five seeds but not scenes, it is (seeds, scenes).
+    """
     every = np.asarray(values, np.float64).reshape(scenes, -1)
-    every = every.T if every.shape[1] < MIN_TRIALS <= scenes else every
-    each = statistics.trial_estimate(every, bounds, paired=paired)
-    trials = each.scenes * each.seeds
-    measured = Statistic(each.trial_mean, each.low, each.high, trials, every.size - trials, p=each.p)
-    if each.mostly_zero and not each.is_zero:
-        return measured._replace(interval=MOSTLY_ZERO)
-    return _at_limit(measured, trials, bounds) if np.isnan(each.low) else measured._replace(interval=STUDENT)
+    return every.T if every.shape[1] < MIN_TRIALS <= scenes else every
 
 
 def share(part: ArrayLike, whole: ArrayLike) -> Statistic:

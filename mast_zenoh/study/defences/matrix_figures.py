@@ -12,6 +12,7 @@ from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.facets import Axis, HeatMap, facet, heat_facet, marks
 from mast_zenoh.report.figures.style import LINE_STYLES, Figure, light_axes, plain
 from mast_zenoh.report.figures.trust import trust_figure
+from mast_zenoh.report.findings.words import paragraph
 from mast_zenoh.report.tables.text_table import number
 from mast_zenoh.study.defences.matrix_tables import MatrixTable
 from mast_zenoh.study.defences.scoreboard import FieldTable
@@ -48,10 +49,7 @@ def _heat_maps(matrix: MatrixTable) -> RenderedFigure:
         for placement in matrix.names("placement")
     ]
     figure = heat_facet(maps, defences, "damage", "wrong objects added per frame")
-    caption = (
-        "Missed and false objects that each adversary adds to the ego's picture per frame, compared with no attack and "
-        f"no defence ({matrix.size}). {' '.join(marks(matrix.rows))}"
-    )
+    caption = paragraph("figure_damage_of_adversaries", size=matrix.size, marked=" ".join(marks(matrix.rows)))
     return render("defence_matrix", figure, f"Heat maps of damage. {_worst(matrix)}", caption, printed=True)
 
 
@@ -78,11 +76,7 @@ def _damage(matrix: MatrixTable) -> RenderedFigure:
     figure = facet(
         rows, "n", [axis], "curve", by="panel", columns=columns, label="number of adversaries", size=(2.9, 2.7)
     )
-    caption = (
-        f"Damage over the number of adversaries ({matrix.size}), with 95 % intervals over trials where there are five "
-        "trials or more. Last: the share of objects that more honest agents see than compromised ones. No rule that "
-        "counts viewers can know more. White centre: the adversaries lied in none of the runs."
-    )
+    caption = paragraph("figure_damage_over_adversaries", size=matrix.size)
     return render(
         "damage_over_adversaries", figure, f"Damage over number of adversaries. {_worst(matrix)}", caption, printed=True
     )
@@ -100,10 +94,7 @@ def _delays(matrix: MatrixTable) -> RenderedFigure:
     axes.set_ylim(0.0, 103.0)
     axes.set_xlim(left=0.0)
     axes.legend(frameon=False, fontsize=9, labelcolor=INK, title="suspended", alignment="left")
-    caption = (
-        "Time from an agent's first observable lie to its suspension, over all adversaries (Kaplan-Meier). Agents that "
-        "were not suspended count for as long as they were watched."
-    )
+    caption = paragraph("figure_delays")
     if matrix.not_suspending:
         caption += f" Not drawn, as they suspended nobody: {', '.join(matrix.not_suspending)}."
     values = "; ".join(
@@ -124,11 +115,7 @@ def _rocs(matrix: MatrixTable) -> RenderedFigure:
     axes.set_xlabel("honest agent-runs above the threshold (%)", fontsize=9.5, color=INK)
     axes.set_ylabel("lying agent-runs above the threshold (%)", fontsize=9.5, color=INK)
     axes.legend(frameon=False, fontsize=9, labelcolor=INK, loc="lower right")
-    caption = (
-        "Each agent of each run has one score, its greatest suspicion. One honest agent-run is at most one false alarm "
-        "in the hours of all runs together, so few runs say nothing about one alarm per hour. Runs under attack in "
-        "which the adversaries never lied are left out."
-    )
+    caption = paragraph("figure_roc")
     values = "; ".join(f"{each.defence} {number(each.auc.value)}" for each in matrix.rocs)
     return render("roc", figure, f"Receiver operating characteristics, areas below: {values}.", caption, printed=True)
 
@@ -178,11 +165,11 @@ def harm_by_scene(table: FieldTable) -> dict[str, RenderedFigure]:
             maps[-1].append(HeatMap(", ".join([scene, *parts]), [attack or "no attack" for attack in shown], lines))
     figure = heat_facet(maps, defences, "harm", "wrong objects per frame, minus no defence")
     adversaries = f"{_agents(places[0][0])}, {places[0][1]}" if len(places) == 1 else "n: number of adversaries"
-    caption = (
-        "Missed and false objects per frame in the ego's picture, with minus without the defence, under the same "
-        f"attack ({table.matrix.size}; {adversaries}). Blue: the defence helps. Red: it does harm. "
-        f"{' '.join(marks([row for row in table.rows if row.of['scene']]))} Colours are linear up to 1, then "
-        "logarithmic."
+    caption = paragraph(
+        "figure_harm",
+        size=table.matrix.size,
+        adversaries=adversaries,
+        marked=" ".join(marks([row for row in table.rows if row.of["scene"]])),
     )
     alt = f"Heat maps of harm relative to no defence. {_best(table)}"
     return {"harm_by_scene": render("harm_by_scene", figure, alt, caption, printed=True)}

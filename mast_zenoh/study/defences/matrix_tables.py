@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any
 
 from mast_zenoh.metrics.significance import clearest
 from mast_zenoh.metrics.study_results import MIN_SEEDS, Row, Statistic, Survival, TrustPanel, plural
 from mast_zenoh.metrics.trust import Roc
+from mast_zenoh.report.findings.words import paragraph
 from mast_zenoh.report.tables.text_table import (
     DASH,
     FEW_TRIALS,
@@ -113,14 +115,7 @@ class MatrixTable:
 
 #: Texts of a row by heading.
 Columns = Mapping[str, Callable[[Row], str]]
-#: Measures of each table.
-_COSTS = ("fn_added", "fp_added", "ospa_added_m", "honest_suspended_per_hour", "wrongly_suspended")
-_DETECTION = (
-    *("lies_detected", "median_delay_s", "identifiable_removed", "fp_identifiable", "fp_unidentifiable"),
-    "honest_suspended_per_hour",
-)
 _FRAMING = ("framed", "framed_by_minority", "framed_by_majority", "wrongly_suspended")
-_FAULTS = ("wrongly_suspended", "faulty_suspended_per_hour", "honest_suspended_per_hour", "ospa_added_m")
 #: Names of a defence, and of a cell, by heading.
 _DEFENCE = {"defence": "defence"}
 CELL = _DEFENCE | {"adversary": "attack", "n": "n_adversaries", "placement": "placement"}
@@ -146,52 +141,76 @@ def _text(name: str) -> Callable[[Row], str]:
     return shown(name, _SHOWN.get(name, measured))
 
 
-def _columns(names: Sequence[str]) -> dict[str, Callable[[Row], str]]:
+def _columns(*names: str) -> dict[str, Callable[[Row], str]]:
     return {DEFENCE_MEASURES[name]: _text(name) for name in names}
 
 
 def tables(matrix: MatrixTable, summed: TextTable) -> list[TextTable]:
     """All tables that have a line, the summary last."""
-    every = [_costs(matrix), *damage(matrix), *_distance(matrix)]
-    every += [_own(matrix), _detection(matrix), _framing(matrix), _faults(matrix)]
-    every += [_states_by_conduct(matrix), _characteristics(matrix), summed]
+    judging = {each.of["defence"] for each in matrix.summaries}
+    attacked = [row for row in matrix.rows if row["attacked"].known and row.of["defence"] in judging]
+    framed = [row for row in attacked if row["framed"].known or row["wrongly_suspended"].known]
+    faulty = [row for row in matrix.rows if any(row[name].value for name in row.numbers if "seconds faulty " in name)]
+    quiet = [row for row in matrix.rows if not row.of["attack"]]
+    names = dict.fromkeys(name for row in matrix.own for name in row.numbers)
+    own = {name.replace(" difference", ", difference"): _if_any(name) for name in names}
+    costs = _columns("fn_added", "fp_added", "ospa_added_m", "honest_suspended_per_hour", "wrongly_suspended")
+    detection = _columns("lies_detected", "median_delay_s", "identifiable_removed", "fp_identifiable")
+    detection |= _columns("fp_unidentifiable", "honest_suspended_per_hour")
+    detection |= {"suspended": _suspended, "suspended before": shown("suspended_before", whole)}
+    faults = _columns("wrongly_suspended", "faulty_suspended_per_hour", "honest_suspended_per_hour", "ospa_added_m")
+    no_delay = f" Suspended nobody in any run, so without a delay: {', '.join(matrix.not_suspending)}."
+    about = paragraph("matrix_detection") + no_delay * bool(matrix.not_suspending)
+    every = [
+        table_of_rows("Cost without an attack", "Compared with no defence, per frame.", quiet, costs, _DEFENCE),
+        *damage(matrix),
+        # What attacks do that move objects without hiding any.
+        *by_adversary(matrix, "ospa_added_m", "Distance between picture and truth", _ABOUT_DISTANCE),
+        table_of_rows("Your metrics", _ABOUT_OWN, matrix.own if names else [], own, CELL, texts=4),
+        table_of_rows("Detection", about, attacked, _LIED | detection, CELL | {"budget": "budget"}, texts=5),
+        table_of_rows("Framing", paragraph("matrix_framing"), framed, _LIED | _columns(*_FRAMING), CELL, texts=4),
+        table_of_rows("Faults", "Agents with a natural fault that did not lie.", faulty, faults, CELL, texts=4),
+        _states_by_conduct(matrix),
+        TextTable(
+            "ROC",
+            "One score for each agent and run: its greatest suspicion. Less than one hour says nothing about one false "
+            "alarm per hour.",
+            ["defence", "AUC", "partial AUC below 1 false alarm/h", "hours"],
+            [[of.defence, _share(of.auc), _share(of.partial_auc), number(of.hours, 3)] for of in matrix.rocs],
+            1,
+        ),
+        summed,
+    ]
     return [table for table in every if table.lines]
+
+
+_ABOUT_DISTANCE = "OSPA added in m, compared with no attack and no defence: positions that are off count, too."
+_ABOUT_OWN = "Of the ego's picture; differences are from no defence and no attack."
+_ABOUT_DAMAGE = "Missed and false objects added per frame to the ego's picture, compared with no attack and no defence."
 
 
 def damage(matrix: MatrixTable) -> Iterator[TextTable]:
     """The damage, by placement."""
-    return _by_adversary(
-        matrix,
-        "damage",
-        "Damage",
-        "Missed and false objects added per frame to the ego's picture, compared with no attack and no defence.",
-    )
+    return by_adversary(matrix, "damage", "Damage", _ABOUT_DAMAGE)
 
 
-def _distance(matrix: MatrixTable) -> Iterator[TextTable]:
-    """What attacks do that move objects without hiding any, by placement."""
-    return _by_adversary(
-        matrix,
-        "ospa_added_m",
-        "Distance between picture and truth",
-        "OSPA added in m, compared with no attack and no defence: positions that are off count, too.",
-    )
-
-
-def _by_adversary(matrix: MatrixTable, measure: str, title: str, about: str) -> Iterator[TextTable]:
+def by_adversary(matrix: MatrixTable, measure: str, title: str, about: str) -> Iterator[TextTable]:
     """A table for each placement: a line per adversary and number, a column per defence."""
     idle = ABOUT_IDLE if any(row.idle for row in matrix.rows) else ""
     defences = matrix.names("defence")
     for placement in matrix.names("placement"):
         lines = []
-        for attack in matrix.names("attack"):
-            for count in matrix.names("n_adversaries"):
-                rows = [matrix.row(defence, attack, count, placement) for defence in defences]
-                if any(row is not None for row in rows):
-                    cells = (DASH if row is None else _text(measure)(row) + f" {IDLE}" * row.idle for row in rows)
-                    lines.append([attack, str(count), *cells])
+        for attack, count in product(matrix.names("attack"), matrix.names("n_adversaries")):
+            rows = [matrix.row(defence, attack, count, placement) for defence in defences]
+            if any(row is not None for row in rows):
+                lines.append([attack, str(count), *(cell_text(row, measure) for row in rows)])
         placed = f"{about} Placement of the adversaries: {placement}.{idle}"
         yield TextTable(f"{title}, {placement}", placed, ["adversary", "n", *defences], lines, 2)
+
+
+def cell_text(row: Row | None, measure: str) -> str:
+    """A measure of a cell; whether its attack never took place."""
+    return DASH if row is None else _text(measure)(row) + f" {IDLE}" * row.idle
 
 
 #: Columns of the summary.
@@ -214,10 +233,7 @@ def summary(matrix: MatrixTable, added: Columns, about_added: str) -> TextTable:
     added: more columns, of which none is left out
     """
     budgets = ", each with its most harmful budget" if any(row.of["budgets"] > 1 for row in matrix.rows) else ""
-    about = (
-        f"Over all adversaries above{budgets}. False alarms are suspensions of honest agents in runs without an "
-        f"attack, of as many frames as given.{about_added}"
-    )
+    about = paragraph("matrix_summary", budgets=budgets, about_added=about_added)
     table = table_of_rows("Summary", about, matrix.summaries, {**_SUMMARY, **added}, _DEFENCE)
     columns = zip(table.headings, *table.lines, strict=True)
     applying = (column for column in columns if column[0] in added or {*column[1:]} != {DASH})
@@ -225,37 +241,8 @@ def summary(matrix: MatrixTable, added: Columns, about_added: str) -> TextTable:
     return table._replace(headings=headings, lines=lines)
 
 
-def _costs(matrix: MatrixTable) -> TextTable:
-    rows = [row for row in matrix.rows if not row.of["attack"]]
-    return table_of_rows(
-        "Cost without an attack", "Compared with no defence, per frame.", rows, _columns(_COSTS), _DEFENCE
-    )
-
-
-def _own(matrix: MatrixTable) -> TextTable:
-    """The user's metrics, each with its difference from no defence and no attack."""
-    names = dict.fromkeys(name for row in matrix.own for name in row.numbers)
-    columns = {name.replace(" difference", ", difference"): _if_any(name) for name in names}
-    about = "Of the ego's picture; differences are from no defence and no attack."
-    return table_of_rows("Your metrics", about, matrix.own if names else [], columns, CELL, texts=4)
-
-
 def _if_any(name: str) -> Callable[[Row], str]:
     return lambda row: measured(row.numbers.get(name, Statistic()))
-
-
-def _detection(matrix: MatrixTable) -> TextTable:
-    about = (
-        "Lies that an honest agent could notice, and whether their object was withheld or their agent suspended; the "
-        "time from the first of them to the suspension of its agent; how many of the liars were suspended. Liars that "
-        "were suspended before their first such lie have no delay, but their lies count as detected: false alarms "
-        "make this share greater."
-    )
-    if matrix.not_suspending:
-        about += f" Suspended nobody in any run, so without a delay: {', '.join(matrix.not_suspending)}."
-    columns = _LIED | _columns(_DETECTION)
-    columns |= {"suspended": _suspended, "suspended before": shown("suspended_before", whole)}
-    return table_of_rows("Detection", about, _attacked(matrix), columns, CELL | {"budget": "budget"}, texts=5)
 
 
 def _suspended(row: Row) -> str:
@@ -264,39 +251,12 @@ def _suspended(row: Row) -> str:
     return f"{whole(suspended)} of {whole(watched)}" if watched.value else DASH
 
 
-def _framing(matrix: MatrixTable) -> TextTable:
-    rows = [row for row in _attacked(matrix) if row["framed"].known or row["wrongly_suspended"].known]
-    about = (
-        "An honest agent is framed if it is suspended after the first lie of a run; runs in which nobody lied have the "
-        "last column. Liars are in the local majority if they outnumber the honest viewers of at least half of the "
-        "lies that an honest agent could notice."
-    )
-    return table_of_rows("Framing", about, rows, _LIED | _columns(_FRAMING), CELL, texts=4)
-
-
-def _attacked(matrix: MatrixTable) -> list[Row]:
-    """The rows of defences with adversaries."""
-    judging = {each.of["defence"] for each in matrix.summaries}
-    return [row for row in matrix.rows if row["attacked"].known and row.of["defence"] in judging]
-
-
 def _lied(share: Statistic) -> str:
     """In how many runs the adversaries lied: `3 of 4`."""
     return f"{round(share.value * share.trials)} of {share.trials}"
 
 
 _LIED = {"runs with a lie": shown("attacked", _lied)}
-
-
-def _faults(matrix: MatrixTable) -> TextTable:
-    rows = [
-        row
-        for row in matrix.rows
-        if any(each.value for name, each in row.numbers.items() if name.startswith("seconds faulty "))
-    ]
-    return table_of_rows(
-        "Faults", "Agents with a natural fault that did not lie.", rows, _columns(_FAULTS), CELL, texts=4
-    )
 
 
 def _states_by_conduct(matrix: MatrixTable) -> TextTable:
@@ -311,28 +271,12 @@ def _states_by_conduct(matrix: MatrixTable) -> TextTable:
     return TextTable("States of trust by conduct", about, ["defence", "conduct", *states], lines, 2)
 
 
-def _characteristics(matrix: MatrixTable) -> TextTable:
-    lines = [
-        [each.defence, measured(each.auc, 3), measured(each.partial_auc, 3), number(each.hours, 3)]
-        for each in matrix.rocs
-    ]
-    headings = ["defence", "AUC", "partial AUC below 1 false alarm/h", "hours"]
-    about = (
-        "One score for each agent and run: its greatest suspicion. Less than one hour says nothing about one false "
-        "alarm per hour."
-    )
-    return TextTable("ROC", about, headings, lines, 1)
-
-
 def defence_tables(matrix: MatrixTable, added: Columns | None = None, about_added: str = "") -> ResultTables:
     """All tables; the terminal has the damage for each placement, and the summary.
 
     The CSV has a row per cell and measure, then per defence. added, about_added: more columns of the summary
     """
-    about = (
-        f"{matrix.size}. In brackets: 95 % intervals, of means over seeds. Differences are between runs of the same "
-        "scene and seed; where most are 0, the mean has no interval, which would be too narrow."
-    )
+    about = paragraph("matrix_about", size=matrix.size)
     source = summary(matrix, added or {}, about_added)
     turned, *lines = zip(source.headings, *source.lines, strict=True)  # it has too many columns for a terminal
     brief = [

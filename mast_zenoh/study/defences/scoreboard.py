@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from mast_zenoh.metrics.significance import holm
-from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, Row, Statistic, plural
+from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, Row
 from mast_zenoh.report.findings.words import names as join_names
+from mast_zenoh.report.findings.words import of_study, paragraph
 from mast_zenoh.report.tables.text_table import BOUNDS, ResultTables, TextTable, bounds, digits, measured
 from mast_zenoh.study.defences.matrix_tables import MatrixTable
 from mast_zenoh.study.defences.published import Published, PublishedNumber
@@ -54,35 +55,12 @@ class FieldTable:
     summaries: Sequence[Row]
     published: Sequence[tuple[Published, Sequence[PublishedNumber]]]
 
-    def row(self, scene: str, defence: str, attack: str, n_adversaries: int, placement: str) -> Row:
-        """The row of a cell; raises KeyError if there is none."""
-        key = (scene, defence, attack, n_adversaries, placement)
-        for row in self.rows:
-            if tuple(row.of.values()) == key:
-                return row
-        raise KeyError(key)
-
 
 class DefenceScore(NamedTuple):
-    """A defence: its cells with the greatest damage, of all and of those without an attack."""
+    """A defence: its cells with the greatest damage, of all (`worst`) and of those without an attack (`quiet`)."""
 
     worst: Row
     quiet: Row
-
-    @property
-    def defence(self) -> str:
-        """The name of the defence."""
-        return str(self.worst.of["defence"])
-
-    @property
-    def damage(self) -> Statistic:
-        """Of the worst case."""
-        return self.worst["damage"]
-
-    @property
-    def cost(self) -> Statistic:
-        """What the defence adds without an attack."""
-        return self.quiet["damage"]
 
 
 class Scoreboard:
@@ -100,14 +78,13 @@ class Scoreboard:
         values = {(name, row): row[name].p for row in self.rows for name in _READ}
         tested = {key: p for key, p in values.items() if not math.isnan(p)}
         self.adjusted = dict(zip(tested, holm(list(tested.values())), strict=True))
-        self.scores = sorted(self._scores(), key=lambda score: score.damage.value)
-        self.defended = [score for score in self.scores if score.defence in defences]
-
-    def _scores(self) -> Iterator[DefenceScore]:
+        scores = []
         for name in dict.fromkeys(row.of["defence"] for row in self.rows):
             own = [row for row in self.rows if row.of["defence"] == name]
             if quiet := [row for row in own if not row.of["attack"]]:
-                yield DefenceScore(*(max(rows, key=lambda row: row["damage"].value) for rows in (own, quiet)))
+                scores.append(DefenceScore(*(max(rows, key=_damage) for rows in (own, quiet))))
+        self.scores = sorted(scores, key=lambda score: _damage(score.worst))
+        self.defended = [score for score in self.scores if score.worst.of["defence"] in defences]
 
     def differs(self, name: str, row: Row) -> bool:
         """Whether a measure of a cell differs from 0 if all are read together."""
@@ -117,95 +94,62 @@ class Scoreboard:
         """Five computed sentences: the best defence, its rivals, what beats most, gain, cost; none without scores."""
         if not self.defended:
             return []
-        best, costly = self.scores[0], max(self.defended, key=lambda score: score.cost.value)
-        name = best.defence if best in self.defended else "no defence at all"
-        quiet, worst = [score.quiet for score in self.defended], [score.worst for score in self.defended]
-        return [
-            f"The best worst case of {plural(len(self.defended), 'defence')} has {name}: with {_case(best.worst)}, "
-            f"{self._text('damage', best.worst)} errors a frame are added, compared with no attack and no defence"
-            f"{self._share_of_attack(best.worst)}.",
-            self._rivals(best),
-            self._beaten(),
-            f"In its worst case, better than no defence: {self._named('harm', worst, -1)}; "
-            f"worse: {self._named('harm', worst, 1)}; for all others, that is open.",
-            f"Without an attack, clearly more errors than without a defence: {self._named('damage', quiet, 1)}; "
-            f"fewer: {self._named('damage', quiet, -1)}; "
-            f"the {'greatest cost' if costly.cost.value >= 0.0 else 'smallest gain'} is that of "
-            f"{costly.defence}: {self._text('damage', costly.quiet)} a frame.",
-        ]
+        worst, quiet = ([score[at] for score in self.defended] for at in (0, 1))
+        rows = [score.worst for score in self.scores]
+        return of_study("scoreboard", board=self, worst=worst, quiet=quiet, rows=rows)
 
-    def _share_of_attack(self, row: Row) -> str:
-        """What the attack adds, as a defence also removes errors of the sensors; empty without an attack."""
-        return f", of which the attack adds {self._text('by_attack', row)}" if row.of["attack"] else ""
-
-    def _rivals(self, best: DefenceScore) -> str:
-        high = best.damage.high
-        if math.isnan(high):
-            return "That number has no interval, so the order of the rows is open."
-        others = [each.defence for each in self.scores if each is not best and not each.damage.low > high]
-        if others:
-            return f"Not told apart from it, as intervals overlap or are missing: {join_names(others)}."
-        return "No other row's interval overlaps with its own."
-
-    def _beaten(self) -> str:
+    @property
+    def beat_most(self) -> tuple[list[str], int]:
+        """What is the worst case of most defences, and of how many."""
         counts = Counter(score.worst.of["attack"] or "their own cost" for score in self.defended)
-        names = [name for name, count in counts.items() if count == max(counts.values())]
-        share = f"{max(counts.values())} of {len(self.defended)}{' each' if len(names) > 1 else ''}"
-        bare = [each.worst for each in self.scores if each not in self.defended]
-        undefended = (f"; without a defence, {_case(row)} adds {self._text('by_attack', row)}" for row in bare)
-        return f"What beats defences most is {join_names(names)} ({share}){''.join(undefended)}."
+        most = max(counts.values())
+        return [name for name, count in counts.items() if count == most], most
 
-    def _named(self, name: str, rows: Iterable[Row], sign: int) -> str:
+    def named(self, name: str, rows: Iterable[Row], sign: int) -> str:
         """The defences of cells whose measure differs from 0, in one direction."""
         named = [row.of["defence"] for row in rows if self.differs(name, row) and sign * row[name].value > 0.0]
         return join_names(named) if named else "none"
 
-    def _text(self, name: str, row: Row) -> str:
+    def text(self, name: str, row: Row) -> str:
+        """A measure of a cell, with its mark."""
         return measured(row[name]) + "*" * self.differs(name, row)
 
     def table(self) -> TextTable:
         """The scores as text."""
         lines = [
             [
-                *(score.defence, _case(score.worst), *(self._text(name, score.worst) for name in _READ)),
-                *(self._text("damage", score.quiet), str(score.damage.trials)),
+                *(score.worst.of["defence"], _case(score.worst), *(self.text(name, score.worst) for name in _READ)),
+                *(self.text("damage", score.quiet), str(score.worst["damage"].trials)),
             ]
             for score in self.scores
         ]
-        about = (
-            "Errors are missed and false objects per frame in the ego's picture. Of each defence the case with the "
-            "most errors added, of all attacks and kinds of scene, compared with no attack and no defence. Negative: "
-            "the defence takes more of the sensors' own errors away than the attack adds. Then the same case compared "
-            f"with the same defence without the attack, and with no defence under it. {self._about_tests()} As the "
-            "greatest of many is chosen, errors added are a little too many."
+        about = paragraph(
+            "scoreboard_about", tests=paragraph("scoreboard_tests", adjusted=self.adjusted, least=MIN_SEEDS)
         )
         return TextTable(TITLE, about, _HEADINGS, lines, 2)
 
-    def _about_tests(self) -> str:
-        if not self.adjusted:
-            return f"No number can be tested: there are fewer than {MIN_SEEDS} seeds, or most differences are equal."
-        return (
-            "* differs from 0 after Holm's procedure, over the "
-            f"{plural(len(self.adjusted), 'number')} of all cases that have a test."
-        )
+
+def _damage(row: Row) -> float:
+    return row["damage"].value
 
 
 def _case(row: Row) -> str:
     """`Ghost (2 of 4 poles, random)`."""
-    text = "{attack} ({n_adversaries} of {scene}, {placement})" if row.of["attack"] else "no attack ({scene})"
-    return text.format_map(row.of)
+    return of_study("case", row=row)[0]
 
 
 def scoreboard_tables(table: FieldTable) -> ResultTables:
     """The scoreboard as a page of its own; its CSV has all numbers that are read together."""
     board = Scoreboard(table)
     worst = [score.worst for score in board.scores]
-    numbers = []
-    for row in board.rows:
-        for name in _READ:
-            cell = [row.of[each] for each in _NAMES]
-            adjusted = digits(board.adjusted.get((name, row), math.nan))
-            numbers.append([*cell, name, *bounds(row[name]), *adjusted, int(row in worst)])
+    numbers = [
+        [
+            *(*(row.of[each] for each in _NAMES), name, *bounds(row[name])),
+            *(*digits(board.adjusted.get((name, row), math.nan)), int(row in worst)),
+        ]
+        for row in board.rows
+        for name in _READ
+    ]
     sentences = board.conclusions()
     numbered = [f"{at}. {text}" for at, text in enumerate(sentences, 1)]
     about = "\n".join([f"{table.matrix.size}.", *([""] if numbered else []), *numbered])

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Sequence
-from dataclasses import asdict
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -19,16 +18,26 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from mast_zenoh import run_folder
-from mast_zenoh.metrics.study_results import SeriesEstimate, plural
+from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.facets import curve
 from mast_zenoh.report.figures.style import LINE_STYLES, Figure, light_axes, plain
+from mast_zenoh.report.findings.words import of_study, paragraph
 from mast_zenoh.report.tables.study_rows import MOSTLY_ZERO, over_trials
-from mast_zenoh.report.tables.text_table import DASH, ResultTables, TextTable, csv_text, digits, number
+from mast_zenoh.report.tables.text_table import (
+    DASH,
+    ResultTables,
+    TextTable,
+    csv_text,
+    digits,
+    number,
+    shown,
+    table_of_rows,
+)
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.study.defences.kinds import StudyFiles
 from mast_zenoh.study.search.plan import SEARCHED
-from mast_zenoh.study.search.results import ESTIMATES, SearchResults, SearchRow
+from mast_zenoh.study.search.results import ESTIMATES, SearchResults
 from mast_zenoh.study.search.space import as_text
 from mast_zenoh.viewer.palette import INK, LOCAL, RUN_COLOURS
 
@@ -71,7 +80,11 @@ def as_json(results: SearchResults) -> dict[str, Any]:
             "optimism": optimism,
             "optimism_over_baseline": over_baseline,
         },
-        "results": [asdict(row) for row in results.rows.values()],
+        "results": [
+            {"configuration": label, "search": row["search"].value}
+            | {name: row[name]._asdict() | {"trial_mean": row[name].value} for name in ESTIMATES}
+            for label, row in results.rows.items()
+        ],
         "candidates": [
             {"candidate": number + 1, "batch": number // plan.batch + 1, "values": each.params, "value": value}
             for number, (each, value) in enumerate(zip(results.candidates.trials, results.values, strict=True))
@@ -99,7 +112,9 @@ def search_tables(results: SearchResults) -> ResultTables:
     """All tables of a search."""
     objective, rows = results.plan.objective, results.rows.values()
     task = f"{'Maximised' if results.plan.maximise else 'Minimised'}: {objective.label} (`{objective.text}`)"
-    held_out = TextTable(task, _optimism(results), _HEADINGS, [_line(row) for row in rows], 1)
+    columns = {_HEADINGS[1]: shown("search", lambda each: number(each.value))}
+    columns |= {heading: shown(name, _text) for heading, name in zip(_HEADINGS[2:], ESTIMATES, strict=True)}
+    held_out = table_of_rows(task, _optimism(results), [*rows], columns)
     brief = (held_out, _parameters(results))
     return ResultTables(
         title=f"Search {results.study.name}",
@@ -111,54 +126,34 @@ def search_tables(results: SearchResults) -> ResultTables:
     )
 
 
-def _estimates(row: SearchRow) -> list[SeriesEstimate]:
-    return [getattr(row, name) for name in ESTIMATES]
+def _text(each: Statistic) -> str:
+    return over_trials(each) if each.seeds else DASH
 
 
-def _line(row: SearchRow) -> list[str]:
-    texts = (over_trials(each) if each.seeds else DASH for each in _estimates(row))
-    return [row.configuration, number(row.search), *texts]
-
-
-def _numbers(row: SearchRow, results: SearchResults) -> Sequence[object]:
+def _numbers(row: Row, results: SearchResults) -> Sequence[object]:
     """A line of search.csv, with all digits."""
-    bounds = [value for each in _estimates(row) for value in digits(each.trial_mean, each.low, each.high)]
-    p = digits(row.over_baseline.p, row.over_default.p)
-    optimism = digits(*results.optimism) if row.configuration == SEARCHED else ["", ""]
-    seeds = row.held_out.seeds, row.held_out.left_out
-    return [row.configuration, *digits(row.search), *bounds, *p, *seeds, *optimism]
+    bounds = [value for name in ESTIMATES for value in digits(*row[name][:3])]
+    p = digits(row["over_baseline"].p, row["over_default"].p)
+    optimism = digits(*results.optimism) if row.of["configuration"] == SEARCHED else ["", ""]
+    seeds = row["held_out"].seeds, row["held_out"].seeds_left_out(results.count)
+    return [row.of["configuration"], *digits(row["search"].value), *bounds, *p, *seeds, *optimism]
 
 
 def _optimism(results: SearchResults) -> str:
     """How far to believe the search's own value."""
-    plan, rows, best = results.plan, results.rows, results.candidates.best_trial
-    row, baseline, default = rows[SEARCHED], rows[results.study.baseline], rows[plan.run]
-    held_out, known = row.held_out, [each for each in results.values if not math.isnan(each)]
-    optimism, added_optimism = map(number, results.optimism)
-    added = (
-        f"; as the difference from no attack, {number(row.search - baseline.search)} and "
-        f"{number(row.over_baseline.trial_mean)}, {added_optimism} too good"
+    rows, known = results.rows, [each for each in results.values if not math.isnan(each)]
+    sentences = of_study(
+        "search",
+        plan=results.plan,
+        baseline=results.study.baseline,
+        best=results.candidates.best_trial,
+        known=known,
+        rows=rows,
+        optimism=results.optimism,
+        over_baseline=results.over_baseline,
+        left_out=rows[SEARCHED]["held_out"].seeds_left_out(results.count),
     )
-    sentences = [
-        f"No attack: {baseline.configuration}. Default: {default.configuration}.",
-        f"The result is candidate {best.number + 1} of {plan.candidates}. Optimism of the search: {number(row.search)} "
-        f"on its own seeds, {number(held_out.trial_mean)} on held-out seeds, {optimism} too good"
-        f"{added if results.over_baseline else ''}.",
-    ]
-    if len(known) > 1 and min(known) == max(known):
-        sentences += ["All candidates have the same value: within these ranges, nothing that is searched changes it."]
-    elif (row.search <= default.search) if plan.maximise else (row.search >= default.search):
-        sentences.append(
-            f"The search found nothing better than the default: {number(default.search)} with its parameters, "
-            f"{number(row.search)} with the best of the candidates, on the same seeds."
-        )
-    if held_out.left_out:
-        seeds = plural(held_out.left_out, "held-out seed")
-        sentences.append(f"Left out: {seeds}, because a trial failed or has no value.")
-    if without := plan.candidates - len(known):
-        sentences.append(f"Without a value, so never chosen: {plural(without, 'candidate')}.")
-    sentences.append("Brackets: 95 % interval over seeds; differences are paired by scene and seed.")
-    if any(each.mostly_zero for of_label in rows.values() for each in _estimates(of_label)):
+    if any(each.mostly_zero for of_label in rows.values() for each in of_label.numbers.values()):
         sentences.append(MOSTLY_ZERO)
     return " ".join(sentences)
 
@@ -230,21 +225,17 @@ def search_figure(results: SearchResults) -> RenderedFigure:
     label, over_baseline = results.plan.objective.label, results.over_baseline
     figure = Figure(figsize=(_WIDTH, _HEIGHT), layout="constrained", facecolor="white")
     in_order, held_out = figure.subplots(1, 2, sharey=True, width_ratios=(2.1, 1.0))
-    offset = results.rows[results.study.baseline].search if over_baseline else 0.0
+    offset = results.rows[results.study.baseline]["search"].value if over_baseline else 0.0
     _candidates(in_order, results, offset)
     _held_out(held_out, results, offset)
     words = f"{label}, minus no attack" if over_baseline else label
     in_order.set_ylabel(plain("\n".join(textwrap.wrap(words, _LABEL))), fontsize=9.5, color=INK)
     handles, labels = in_order.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=5, frameon=False, fontsize=9, labelcolor=INK)
-    caption = (
-        f"{'Higher' if results.plan.maximise else 'Lower'} is better for the attacker ({results.size}). Left: every "
-        "candidate on the search's seeds. Right: seeds that the search has not seen, with 95 % intervals over seeds; "
-        "no bar: fewer than five seeds, equal values, or no change in most trials. The ring is the search's own value "
-        f"of its result: it is {number(results.optimism[over_baseline])} better than that on held-out seeds."
-    )
-    rows = [row for row in results.rows.values() if row.held_out.seeds]
-    values = "; ".join(f"{row.configuration} {over_trials(row.held_out)}" for row in rows)
+    better = results.optimism[over_baseline]
+    caption = paragraph("figure_search", maximise=results.plan.maximise, size=results.size, better=better)
+    rows = [(label, row["held_out"]) for label, row in results.rows.items() if row["held_out"].seeds]
+    values = "; ".join(f"{label} {over_trials(each)}" for label, each in rows)
     alt = f"Search over {results.plan.candidates} candidates. {label} on held-out seeds: {values}."
     return render("search", figure, alt, caption, printed=True)
 
@@ -256,10 +247,10 @@ def _candidates(axes: Axes, results: SearchResults, offset: float) -> None:
     axes.scatter(at, values, s=22, color=_SEARCHED, alpha=0.5, linewidths=0.0, label="candidate")
     axes.step(at, best, where="post", color=_SEARCHED, linewidth=1.8, label="best so far")
     axes.plot(results.candidates.best_trial.number + 1, best[-1], label="result of the search", **_RING)
-    default = results.rows[results.plan.run]
-    if not math.isnan(default.search):
-        label = plain(f"{default.configuration} (default)")
-        axes.axhline(default.search - offset, color=_DEFAULT, linestyle=LINE_STYLES[1], linewidth=1.6, label=label)
+    default = results.rows[results.plan.run]["search"]
+    if default.known:
+        label = plain(f"{results.plan.run} (default)")
+        axes.axhline(default.value - offset, color=_DEFAULT, linestyle=LINE_STYLES[1], linewidth=1.6, label=label)
     _no_attack(axes, results)
     axes.set_xlabel("candidate", fontsize=9.5, color=INK)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -269,17 +260,15 @@ def _candidates(axes: Axes, results: SearchResults, offset: float) -> None:
 def _held_out(axes: Axes, results: SearchResults, offset: float) -> None:
     _begin(axes, "held out", results.held_out_seeds)
     _no_attack(axes, results)
-    estimates = {
-        label: row.over_baseline if results.over_baseline else row.held_out for label, row in results.rows.items()
-    }
-    shown = {label: estimate for label, estimate in estimates.items() if not math.isnan(estimate.trial_mean)}
+    name = "over_baseline" if results.over_baseline else "held_out"
+    estimates = {label: row[name] for label, row in results.rows.items() if row[name].known}
     colours, free = {results.plan.run: 0, SEARCHED: 1}, count(2)
-    for at, (label, estimate) in enumerate(shown.items()):
+    for at, (label, estimate) in enumerate(estimates.items()):
         curve(axes, [at], [estimate], colours[label] if label in colours else next(free), "")
-    if SEARCHED in shown:
-        axes.plot(list(shown).index(SEARCHED), results.candidates.best_value - offset, **_RING)
-    axes.set_xticks(range(len(shown)), [plain("\n".join(textwrap.wrap(label, _TICK))) for label in shown])
-    axes.set_xlim(-0.6, len(shown) - 0.4)
+    if SEARCHED in estimates:
+        axes.plot(list(estimates).index(SEARCHED), results.candidates.best_value - offset, **_RING)
+    axes.set_xticks(range(len(estimates)), [plain("\n".join(textwrap.wrap(label, _TICK))) for label in estimates])
+    axes.set_xlim(-0.6, len(estimates) - 0.4)
     axes.tick_params(axis="y", labelleft=True)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import optuna
 
-from mast_zenoh.metrics.study_results import SeriesEstimate, plural
+from mast_zenoh.metrics.study_results import Row, Statistic, plural
 from mast_zenoh.study import numbers, statistics
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.numbers import NAN, ego
@@ -18,25 +18,9 @@ from mast_zenoh.study.search.plan import SEARCHED, SearchPlan
 from mast_zenoh.study.store import Store
 from mast_zenoh.study.trial import Trial, TrialOutcome
 
-#: Of a SearchRow.
+#: Numbers of a row: the objective on the held-out seeds; minus that without the attack, and of the default, paired by
+#: scene and seed.
 ESTIMATES = ("held_out", "over_baseline", "over_default")
-_NONE = SeriesEstimate()
-
-
-@dataclass(frozen=True, slots=True)
-class SearchRow:
-    """One configuration.
-
-    search:         mean of the objective on the search's seeds; NaN: it was not played with them
-    held_out:       the objective on the held-out seeds
-    over_baseline, over_default: minus that without the attack, and of the default, paired by scene and seed
-    """
-
-    configuration: str
-    search: float = NAN
-    held_out: SeriesEstimate = _NONE
-    over_baseline: SeriesEstimate = _NONE
-    over_default: SeriesEstimate = _NONE
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,14 +29,15 @@ class SearchResults:
 
     study:      with the configuration that was found; its seed is the first of the search
     candidates: Optuna's study: a trial for each candidate, whose parameters may be any values that study files have
-    rows:       by label of the configuration, in the order of the study
+    rows:       by label of the configuration, in the order of the study: its ESTIMATES, and `search`: mean of the
+                objective on the search's seeds; unknown: it was not played with them
     defaults:   by name of a searched parameter, its value in the default, where that is known
     count:      number of held-out seeds
     """
 
     study: Study
     candidates: optuna.Study
-    rows: Mapping[str, SearchRow]
+    rows: Mapping[str, Row]
     defaults: Mapping[str, Any]
     count: int
 
@@ -92,7 +77,7 @@ class SearchResults:
     def over_baseline(self) -> bool:
         """Whether the objective has a value without the attack, so that differences from it are known."""
         baseline = self.rows[self.study.baseline]
-        return not math.isnan(baseline.search) and not math.isnan(baseline.held_out.trial_mean)
+        return baseline["search"].known and baseline["held_out"].known
 
     @property
     def optimism(self) -> tuple[float, float]:
@@ -101,8 +86,9 @@ class SearchResults:
         Also that of the differences from no attack, for which it does not matter how hard seeds are.
         """
         row, sign = self.rows[SEARCHED], 1.0 if self.plan.maximise else -1.0
-        added = row.search - self.rows[self.study.baseline].search
-        return sign * (row.search - row.held_out.trial_mean), sign * (added - row.over_baseline.trial_mean)
+        search = row["search"].value
+        added = search - self.rows[self.study.baseline]["search"].value
+        return sign * (search - row["held_out"].value), sign * (added - row["over_baseline"].value)
 
     @property
     def size(self) -> str:
@@ -119,7 +105,7 @@ def value(plan: SearchPlan, outcome: TrialOutcome, baseline: TrialOutcome | None
     return plan.objective.value(paired, ego(outcome.metrics), of_baseline=of_baseline)
 
 
-def rows(study: Study, planned: Sequence[Trial], store: Store, searched: Mapping[str, float]) -> dict[str, SearchRow]:
+def rows(study: Study, planned: Sequence[Trial], store: Store, searched: Mapping[str, float]) -> dict[str, Row]:
     """Each configuration of a study on held-out seeds, from the trials that its folder has.
 
     planned:  the held-out trials, as `trials.plan` orders them
@@ -140,13 +126,13 @@ def rows(study: Study, planned: Sequence[Trial], store: Store, searched: Mapping
     for label, values in by_label.items():
         pairs = {"over_baseline": study.baseline} if label != study.baseline else {}
         pairs |= {"over_default": plan.run} if label == SEARCHED else {}
-        result[label] = SearchRow(
-            label,
-            searched.get(label, NAN),
-            statistics.trial_estimate(values, plan.objective.bounds(agent), rate=rate),
-            **{
-                name: statistics.trial_estimate(values - by_label[other], (-math.inf, math.inf), paired=True)
-                for name, other in pairs.items()
-            },
+        of_label = {
+            name: statistics.trial_estimate(values - by_label[other], (-math.inf, math.inf), paired=True)
+            for name, other in pairs.items()
+        }
+        of_label["search"] = Statistic(searched.get(label, NAN))
+        of_label["held_out"] = statistics.trial_estimate(values, plan.objective.bounds(agent), rate=rate)
+        result[label] = Row(
+            {"configuration": label}, of_label["held_out"].trials, dict.fromkeys(ESTIMATES, Statistic()) | of_label
         )
     return result

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.metrics.study_results import Row
-from mast_zenoh.study import definition
 from mast_zenoh.study.defences import sensors_of
 from mast_zenoh.study.defences.breakdown import Breakdown, crossing
 from mast_zenoh.study.defences.kinds import Factors
@@ -163,15 +162,6 @@ def test_a_defence_that_never_breaks_has_a_point_beyond_what_was_tried() -> None
     assert r"Lie & 5 & $>$ 40 & 20 & $>$ 20 \\" in latex
     assert all(line.isascii() for line in latex.splitlines() if not line.startswith("%"))
     assert "above 40 %" in collection.figures(table)["breakdown"].alt
-
-
-def test_the_numbers_of_liars_surround_the_bound() -> None:
-    study = definition.load("breakdown", ["adversaries=coordinated"])
-    liars = {n: [each["liars"] for each in study.factors.values() if each["agents"] == n] for n in (5, 13, 21)}
-    assert liars[5] == [0, 1, 2, 3, 4]
-    assert liars[21] == [0, 2, 5, 7, 8, 9, 11, 12, 13, 17]
-    assert study.kind is Breakdown
-    assert "n_infrastructure=12" in study.configurations[-1].settings
 
 
 def test_all_agents_but_the_ego_have_a_pole_or_a_car() -> None:

@@ -110,11 +110,6 @@ def test_every_preset_is_short_to_name_and_uses_no_calibration_data(preset: str)
     refuse_calibration_data(range(study.seed, study.seed + (study.trials or 1)), scene, preset)
 
 
-def test_the_preset_alarms_plays_108000_unattacked_frames() -> None:
-    study = definition.load("defences", ["preset=alarms"])
-    assert len(study.scenes) * (study.trials or 0) * (study.frames or 0) == 108_000
-
-
 def test_todays_attacks_are_on_tracks_alone_and_have_no_budget() -> None:
     study = definition.load("defences", ["preset=today"])
     assert {cell["attack"] for cell in study.factors.values()} == {"", "coordinated", "uncoordinated"}
@@ -255,11 +250,6 @@ def test_a_file_joins_the_matrix(tmp_path: Path) -> None:
     second = {trial.configuration: trial.digest for trial in planned(*files)}
     assert second["Mine alone"] != first["Mine alone"], "a changed file is another trial"
     assert second["NoIntegrity alone"] == first["NoIntegrity alone"]
-
-
-def test_a_defence_with_parameters_is_built_with_them() -> None:
-    study = definition.load("defences", ["defences=['KOfN', {'type': 'KOfN', 'k': 3}]", "counts=()"])
-    assert "defence={'type': 'KOfN', 'k': 3}" in study.configurations[2].settings
 
 
 @pytest.mark.parametrize("kind", [DefenceMatrix, Drift, Breakdown, FieldMatrix, Cooperation, DrivingMatrix])

@@ -109,15 +109,6 @@ def test_each_track_has_its_own_clock() -> None:
     assert episodes([], [], [], [], None, ANY) == []
 
 
-def test_only_what_lasts_long_enough_is_judged() -> None:
-    (short,) = of("2" * 100)
-    (long,) = of("2" * 101, suspended_s=14.0)
-    assert not short.judged_within(10.0)
-    assert long.judged_within(10.0)
-    assert long.detected_within(10.0)
-    assert not long.detected_within(9.9)
-
-
 @given(st.text("01234-", min_size=1, max_size=60), st.integers(0, 70))
 def test_a_suspension_changes_what_is_watched_and_never_how_long_it_lasts(viewers: str, after: int) -> None:
     suspended_s = 4.0 + after * PERIOD_S

@@ -20,7 +20,7 @@ def test_the_interval_of_a_mean_is_students_t_over_seeds_as_in_all_studies() -> 
     measured = intervals.mean(values.ravel(), scenes=3, paired=True)
     expected = trial_estimate(values, (-math.inf, math.inf), paired=True)
     assert measured.interval == STUDENT
-    assert (*measured[:3], measured.p) == (expected.trial_mean, expected.low, expected.high, expected.p)
+    assert (*measured[:3], measured.p) == (expected.value, expected.low, expected.high, expected.p)
     transposed = intervals.mean(values.T.ravel(), scenes=8)  # of too few seeds, scenes are the units
     assert transposed[1:3] == pytest.approx((expected.low, expected.high))
 

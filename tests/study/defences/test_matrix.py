@@ -13,7 +13,7 @@ from defence_outcomes import outcome
 from numpy.typing import NDArray
 
 import mast_zenoh as mast
-from mast_zenoh.metrics.study_results import BINOMIAL, POISSON, Row, Statistic
+from mast_zenoh.metrics.study_results import BINOMIAL, Row, Statistic
 from mast_zenoh.study.defences.choices import by_coverage, honest_majority
 from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import MAX_AGENTS, DefenceMatrix, doubts, is_fault, panel, undefended
@@ -264,13 +264,6 @@ def test_the_cost_is_the_damage_without_an_attack(matrix: MatrixTable) -> None:
     assert measure(matrix, "Wall", "fp_added", count=0).value == pytest.approx(0.5)
     assert measure(matrix, "Wall", "faulty_suspended_per_hour", count=0).value == pytest.approx(200.0)
     assert math.isnan(measure(matrix, "Wall", "lies_detected", count=0).value), "none is observable"
-
-
-def test_rates_have_the_exact_interval_of_a_poisson_count(matrix: MatrixTable) -> None:
-    alarms = measure(matrix, "Wall", "honest_suspended_per_hour", count=0)
-    assert (alarms.value, alarms.interval, alarms.trials) == (pytest.approx(100.0 / 5), POISSON, 5)
-    # One event in 0.05 h: 0.0253 to 5.572 events.
-    assert (alarms.low, alarms.high) == (pytest.approx(0.0253 / 0.05, rel=1e-3), pytest.approx(5.572 / 0.05, rel=1e-3))
 
 
 def test_delays_characteristics_and_time_in_each_state_are_over_all_trials_of_a_defence(matrix: MatrixTable) -> None:

@@ -50,13 +50,13 @@ ERRORS = {
 
 def test_defences_are_ranked_by_their_worst_case_over_attacks_and_kinds_of_scene() -> None:
     scores = Scoreboard(table_of(ERRORS)).scores
-    assert [score.defence for score in scores] == ["Cad", "NoIntegrity", "KOfN", "Robosac"]
+    assert [score.worst.of["defence"] for score in scores] == ["Cad", "NoIntegrity", "KOfN", "Robosac"]
     cases = [(score.worst.of["attack"], score.worst.of["scene"]) for score in scores]
     assert cases == [("Ghost", "8 poles, 4 cars"), ("Flood", "4 poles"), ("Ghost", "4 poles"), ("Ghost", "4 poles")]
     best = scores[0].worst
     values = best["damage"].value, best["by_attack"].value, best["harm"].value
     assert values == pytest.approx((4.5 - 2.0, 4.5 - 1.0, 4.5 - 4.0), abs=1e-9)
-    assert [score.cost.value for score in scores] == pytest.approx([-1.0, 0.0, 0.0, 8.0])
+    assert [score.quiet["damage"].value for score in scores] == pytest.approx([-1.0, 0.0, 0.0, 8.0])
 
 
 def test_five_sentences_say_what_the_table_does() -> None:
@@ -97,7 +97,7 @@ def test_two_seeds_have_no_interval_and_decide_nothing() -> None:
 
 def test_an_attack_in_which_nobody_lied_is_no_worst_case() -> None:
     scores = Scoreboard(table_of(ERRORS, silent=("Robosac", "Ghost"))).scores
-    (robosac,) = (score for score in scores if score.defence == "Robosac")
+    (robosac,) = (score for score in scores if score.worst.of["defence"] == "Robosac")
     assert (robosac.worst.of["attack"], robosac.worst.of["scene"]) == ("Flood", "4 poles")
 
 

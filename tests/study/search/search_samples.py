@@ -9,11 +9,11 @@ from pathlib import Path
 
 import optuna
 
-from mast_zenoh.metrics.study_results import SeriesEstimate
+from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.study.definition import Configuration, Study, StudyScene
 from mast_zenoh.study.search.objective import parse_objective
 from mast_zenoh.study.search.plan import SEARCHED, SearchPlan
-from mast_zenoh.study.search.results import SearchResults, SearchRow
+from mast_zenoh.study.search.results import ESTIMATES, SearchResults
 from mast_zenoh.study.search.space import parse_space
 
 BASELINE, DEFAULT = "unattacked", "attacked"
@@ -24,8 +24,19 @@ SPACE = {
 }
 
 
-def estimate(mean: float, half: float = 0.2, seeds: int = 20) -> SeriesEstimate:
-    return SeriesEstimate(mean, math.nan, mean, mean - half, mean + half, p=0.01, scenes=2, seeds=seeds)
+def estimate(mean: float, half: float = 0.2, seeds: int = 20) -> Statistic:
+    return Statistic(
+        mean=mean, std=math.nan, value=mean, low=mean - half, high=mean + half, p=0.01, scenes=2, seeds=seeds
+    )
+
+
+def search_row(label: str, search: float = math.nan, *estimates: Statistic) -> Row:
+    numbers = dict.fromkeys(ESTIMATES, Statistic()) | dict(zip(ESTIMATES, estimates, strict=False))
+    return Row({"configuration": label}, 0, numbers | {"search": Statistic(search)})
+
+
+def changed(row: Row, **numbers: Statistic) -> Row:
+    return replace(row, numbers={**row.numbers, **numbers})
 
 
 def results(values: tuple[float, ...] = (2.5, math.nan, 3.25, 3.0, 3.25), *, maximise: bool = True) -> SearchResults:
@@ -62,13 +73,13 @@ def results(values: tuple[float, ...] = (2.5, math.nan, 3.25, 3.0, 3.25), *, max
         search=plan,
     )
     rows = (
-        SearchRow(BASELINE, 1.5, estimate(1.25)),
-        SearchRow(DEFAULT, 2.0, estimate(1.75), estimate(0.5)),
-        SearchRow(SEARCHED, 3.25, estimate(2.75), estimate(1.5), estimate(1.0)),
+        search_row(BASELINE, 1.5, estimate(1.25)),
+        search_row(DEFAULT, 2.0, estimate(1.75), estimate(0.5)),
+        search_row(SEARCHED, 3.25, estimate(2.75), estimate(1.5), estimate(1.0)),
     )
-    return SearchResults(study, candidates, {row.configuration: row for row in rows}, {"attack.budget": 2.0}, 20)
+    return SearchResults(study, candidates, {row.of["configuration"]: row for row in rows}, {"attack.budget": 2.0}, 20)
 
 
-def with_rows(made: SearchResults, changed: Mapping[str, SearchRow]) -> SearchResults:
+def with_rows(made: SearchResults, changed: Mapping[str, Row]) -> SearchResults:
     """The results with other rows of some configurations."""
     return replace(made, rows={**made.rows, **changed})

@@ -13,8 +13,8 @@ from synthetic_search import write_study
 
 import mast_zenoh
 from mast_zenoh.attacks.coordination import Collusion
-from mast_zenoh.errors import ConfigurationError, TrialsFailed
-from mast_zenoh.study import definition, execution
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.study import definition
 from mast_zenoh.study.search import searching
 
 
@@ -65,15 +65,6 @@ def test_without_optuna_a_search_names_the_command_that_installs_it(mast, monkey
     assert code == ConfigurationError.exit_code == 10
     assert "a search needs Optuna, which is not installed: pip install 'mast-zenoh[search]'" in " ".join(err.split())
     assert not (tmp_path / "out").exists()
-
-
-def test_a_failed_trial_of_a_search_has_the_exit_code_of_failed_trials(mast, monkeypatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(execution, "_run_in_process", lambda *_: 1 / 0)
-    code, _, err = mast("study", str(write_study(tmp_path)), "--jobs", "1", "--out", str(tmp_path / "out"))
-    assert code == TrialsFailed.exit_code == 24
-    assert "mast run uncoordinated --set" in err
-    assert "ZeroDivisionError" in err
-    assert "--resume" in err
 
 
 @pytest.mark.parametrize(

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
-import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from rich.console import Console
-from search_samples import BASELINE, DEFAULT, estimate, results, with_rows
+from search_samples import BASELINE, DEFAULT, changed, results, search_row, with_rows
 
-from mast_zenoh.metrics.study_results import SeriesEstimate
+from mast_zenoh.metrics.study_results import Statistic
 from mast_zenoh.report.figures.style import Figure
 from mast_zenoh.study.search import report as search_figures
 from mast_zenoh.study.search.plan import SEARCHED
 from mast_zenoh.study.search.report import candidates_csv, search_tables, short_names
-from mast_zenoh.study.search.results import SearchResults, SearchRow
+from mast_zenoh.study.search.results import SearchResults
 
 
 def shown(of: SearchResults) -> str:
@@ -43,39 +41,18 @@ def test_a_search_that_found_nothing_better_than_the_default_says_so() -> None:
     assert "nothing better" not in shown(results())
     for default, maximise in ((3.25, True), (3.5, True), (3.25, False), (3.0, False)):
         made = results(maximise=maximise)
-        words = " ".join(shown(with_rows(made, {DEFAULT: replace(made.rows[DEFAULT], search=default)})).split())
+        words = " ".join(
+            shown(with_rows(made, {DEFAULT: changed(made.rows[DEFAULT], search=Statistic(default))})).split()
+        )
         assert f"The search found nothing better than the default: {default:.2f} with its parameters, 3.25" in words
 
 
-def test_candidates_of_the_same_value_are_remarked_on() -> None:
-    words = " ".join(shown(results((3.25, math.nan, 3.25))).split())
-    assert "All candidates have the same value: within these ranges, nothing that is searched changes it." in words
-    assert "All candidates" not in shown(results())
-
-
-def test_a_difference_that_is_mostly_zero_is_explained() -> None:
-    made = results()
-    rare = replace(estimate(0.1), low=math.nan, high=math.nan, zero_share=0.67, zero_low=0.22, zero_high=0.96)
-    rare_made = with_rows(made, {DEFAULT: replace(made.rows[DEFAULT], over_baseline=rare)})
-    text = search_tables(rare_made).as_markdown()
-    assert "0.10 (0 in 67 % [22, 96])" in text
-    assert "marks a difference that is 0 in N % of the trials" in text
-    assert '"(0 in N % [a, b])" marks' in " ".join(shown(rare_made).split())
-    assert "marks a difference" not in shown(made)
-
-
 def test_without_a_value_of_no_attack_only_the_plain_optimism_is_given() -> None:
-    made = with_rows(results(), {BASELINE: SearchRow(BASELINE)})
+    made = with_rows(results(), {BASELINE: search_row(BASELINE)})
     assert not made.over_baseline
     words = " ".join(shown(made).split())
     assert "0.50 too good. " in words
     assert "difference from no attack," not in words
-
-
-def test_seeds_left_out_are_counted() -> None:
-    made = results()
-    row = replace(made.rows[SEARCHED], held_out=replace(estimate(2.75), left_out=2))
-    assert "Left out: 2 held-out seeds" in " ".join(shown(with_rows(made, {SEARCHED: row})).split())
 
 
 def test_csv_has_a_line_for_each_configuration_and_all_digits() -> None:
@@ -136,16 +113,7 @@ def test_the_figure_shows_differences_from_no_attack_on_both_kinds_of_seeds(monk
 
 
 def test_without_a_value_of_no_attack_the_figure_shows_the_values_themselves(monkeypatch) -> None:
-    made = with_rows(results(), {BASELINE: SearchRow(BASELINE)})
+    made = with_rows(results(), {BASELINE: search_row(BASELINE)})
     in_order, held_out = drawn(made, monkeypatch).axes
     assert points(held_out) == [(0.0, 1.75), (1.0, 2.75)]
     assert not in_order.get_ylabel().endswith("no attack")
-
-
-def test_an_interval_that_is_unknown_has_no_bar_and_a_caption_says_why() -> None:
-    few = SeriesEstimate(2.75, math.nan, 2.75, scenes=1, seeds=3)
-    made = with_rows(results(), {SEARCHED: SearchRow(SEARCHED, 3.25, few, few, few)})
-    figure = search_figures.search_figure(made)
-    assert "no bar: fewer than five seeds" in figure.caption
-    assert "searched 2.75 (n < 5)" in figure.alt
-    assert figure.names == ["search.png", "search.pdf"]

@@ -240,21 +240,6 @@ def test_an_unknown_objective_is_refused_after_the_first_pair_of_trials(syntheti
 
 
 @pytest.mark.parametrize(
-    ("objective", "message"),
-    [
-        ("fp + ospa", "no metric 'ospa'; did you mean 'ospa_m'"),
-        ("misson/fp", "no estimator 'misson'; did you mean 'mission'"),
-        ("infra_1/local/fpp_iob", "no metric 'fpp_iob'"),
-    ],
-)
-def test_a_misspelt_number_is_refused_before_the_first_run(synthetic, tmp_path: Path, objective, message) -> None:
-    study = definition.load_values(str(write_study(tmp_path)), dict(objective=objective))
-    with pytest.raises(ConfigurationError, match=rf"search\.objective: {message}"):
-        carry_out(study, tmp_path / "out")
-    assert not synthetic.played
-
-
-@pytest.mark.parametrize(
     "objective", ["compromised/local/cafn_iob", "fn_ioe", "fp inserted", "mission/driving.critical", "defence/delay_s"]
 )
 def test_numbers_that_are_no_metrics_of_an_estimate_are_not_refused_by_name(objective: str) -> None:
@@ -278,8 +263,3 @@ def test_an_objective_over_the_baseline_is_paired_on_the_search_seeds_too(
     assert found["results"][-1]["over_baseline"]["trial_mean"] == pytest.approx(
         raw["results"][-1]["over_baseline"]["trial_mean"]
     )
-
-
-def test_candidates_are_refused_for_a_study_without_a_search(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="has no search, so no candidates"):
-        carry_out(definition.load("delay"), tmp_path / "out", candidates=3)
