@@ -7,7 +7,7 @@ from mast_zenoh.study.defences.matrix import DefenceMatrix
 ADAPTIVE = "BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,Replay,GhostAhead,StatePerturbation,PoseDrift"
 
 # docs/defence_studies.md says what each one is for, and how long it takes.
-# The best of them: what the presets after full have, unless they say otherwise.
+# What the presets after full have, unless they say otherwise.
 ONE = dict(
     defences="FaultOrLie",
     counts=(1, 2),

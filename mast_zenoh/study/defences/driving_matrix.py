@@ -237,7 +237,7 @@ def driving_tables(table: Sequence[DrivingRow], size: str) -> ResultTables:
         )
     lines = [(row, kind, name) for row in named for kind in _KINDS for name in row.of_kind(kind)]
     lines += [(row, kind, name) for row in named for name in own for kind in ("mean", "added")]
-    digital = [
+    csv_lines = [
         [*row.of.values(), kind, name, *bounds(each), *digits(each.zero_share, each.zero_low, each.zero_high)]
         for row, kind, name in lines
         for each in [row[f"{kind} {name}"]]
@@ -254,7 +254,7 @@ def driving_tables(table: Sequence[DrivingRow], size: str) -> ResultTables:
         " ".join([f"{size}.", *sentences, paragraph("driving_about")]),
         size,
         tables,
-        (headings, digital),
+        (headings, csv_lines),
         [table_of_rows(of_means, " ".join(sentences), titled, brief, {"attack, defence": ""})],
         headline=headline(table),
         reading=sentences,
