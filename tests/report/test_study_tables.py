@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 from study_samples import BASELINE, estimate, facts, grid, row
 
 from mast_zenoh.metrics.significance import holm
-from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, SeriesEstimate, StudyRow, StudySeries, shares
+from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Statistic, StudyRow, StudySeries, shares
 from mast_zenoh.report.narrative.study import compare, other_changes, reservations, result
 from mast_zenoh.report.tables import study
 from mast_zenoh.report.tables.study_rows import over_trials
@@ -24,7 +24,7 @@ ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2, 3)), *grid("coordinated", 0.5,
 FAILED = FailedTrial("coordinated-3", "intersection:1", 7, "RunError: on | purpose", "mast run coordinated --seed 7")
 
 
-def with_more(row: StudyRow, **numbers: SeriesEstimate) -> StudyRow:
+def with_more(row: StudyRow, **numbers: Statistic) -> StudyRow:
     """A row with more numbers, by owner, estimator and metric with underscores between."""
     named = {StudySeries(*name.split("__")): number for name, number in numbers.items()}
     return replace(row, estimates={**row.estimates, **named})
@@ -32,7 +32,7 @@ def with_more(row: StudyRow, **numbers: SeriesEstimate) -> StudyRow:
 
 RARE = trial_estimate(np.array([[0.0] * 16 + [0.1, 0.02, 0.01, 0.27]]), (-np.inf, np.inf), paired=True)
 ZEROS = [with_more(each, ego__picture__fn_iob=RARE, ego__mission__fn_iob=RARE) for each in ROWS[1:3]]
-ODD = SeriesEstimate(3.0, 1.0, 2.5, 2.0, 3.0, seeds=6)
+ODD = Statistic(mean=3.0, std=1.0, value=2.5, low=2.0, high=3.0, seeds=6)
 PEERS = [
     with_more(ROWS[1], all__pictures__deceived=estimate(0.25, 0.1)),
     with_more(ROWS[2], all__pictures__deceived=estimate(0.3, 0.1), all__channel__busy_ratio=estimate(0.6, 0.1)),
@@ -79,7 +79,7 @@ def test_tables_in_text_csv_latex_and_on_a_terminal(name: str) -> None:
 def test_differences_that_are_mostly_zero_have_the_exact_interval_of_their_share() -> None:
     exact = binomtest(16, 20).proportion_ci(method="exact")
     assert (RARE.zero_share, RARE.zero_low, RARE.zero_high) == pytest.approx((0.8, exact.low, exact.high))
-    assert RARE.trial_mean == pytest.approx(0.02)
+    assert RARE.value == pytest.approx(0.02)
     assert np.isnan([RARE.low, RARE.high]).all()
     assert pytest.approx(binomtest(0, 4).pvalue) == RARE.p, "the sign test of the others"
     assert over_trials(RARE) == "0.02 (0 in 80 % [56, 94])"
@@ -97,15 +97,15 @@ def test_differences_that_are_mostly_zero_have_the_exact_interval_of_their_share
 @pytest.mark.parametrize(
     ("numbers", "text"),
     [
-        (SeriesEstimate(3.42, 1.2, 3.4, 3.1, 3.7, seeds=20), "3.40 [3.10, 3.70]"),
-        (SeriesEstimate(), "\u2013"),
-        (SeriesEstimate(3.4, 1.2, 3.4, seeds=4), "3.40 (n < 5)"),
-        (SeriesEstimate(0.0, 0.0, 0.0, seeds=20), "0.00 (all equal)"),
-        (SeriesEstimate(trial_mean=0.0163, low=0.0143, high=0.0183, seeds=20), "0.016 [0.014, 0.018]"),
-        (SeriesEstimate(trial_mean=0.9, low=0.683, high=0.988, seeds=20, rate=True), "90 % [68, 99]"),
+        (Statistic(mean=3.42, std=1.2, value=3.4, low=3.1, high=3.7, seeds=20), "3.40 [3.10, 3.70]"),
+        (Statistic(), "\u2013"),
+        (Statistic(mean=3.4, std=1.2, value=3.4, seeds=4), "3.40 (n < 5)"),
+        (Statistic(mean=0.0, std=0.0, value=0.0, seeds=20), "0.00 (all equal)"),
+        (Statistic(value=0.0163, low=0.0143, high=0.0183, seeds=20), "0.016 [0.014, 0.018]"),
+        (Statistic(value=0.9, low=0.683, high=0.988, seeds=20, rate=True), "90 % [68, 99]"),
     ],
 )
-def test_estimates_show_their_interval_or_why_there_is_none(numbers: SeriesEstimate, text: str) -> None:
+def test_estimates_show_their_interval_or_why_there_is_none(numbers: Statistic, text: str) -> None:
     assert over_trials(numbers) == text
 
 
@@ -141,7 +141,7 @@ def words(rows: list[StudyRow], idle: IdleAttack | None = None) -> list[str]:
     return [result(rows, known, comparisons), *others, *(f"  ! {each}" for each in reservations(rows, known))]
 
 
-def picture(**increments: SeriesEstimate) -> list[StudyRow]:
+def picture(**increments: Statistic) -> list[StudyRow]:
     """A study in which `a` changes the picture."""
     return [
         BASELINE,
@@ -150,17 +150,17 @@ def picture(**increments: SeriesEstimate) -> list[StudyRow]:
 
 
 NOTHING, TINY = estimate(0.0, p=0.9), estimate(0.0006, 0.0002)
-SAME = SeriesEstimate(0.57, 0.5, 0.57, scenes=1, seeds=5)
-EQUAL = SeriesEstimate(0.0, 0.0, 0.0, zero_share=1.0, scenes=1, seeds=5)
-WHOLE = replace(estimate(1.0), seeds=18, left_out=2)
+SAME = Statistic(mean=0.57, std=0.5, value=0.57, scenes=1, seeds=5)
+EQUAL = Statistic(mean=0.0, std=0.0, value=0.0, zero_share=1.0, scenes=1, seeds=5)
+WHOLE = estimate(1.0)._replace(seeds=18, left_out=2)
 RMSE, SWITCHES = estimate(0.2, 0.1, p=1e-4), estimate(0.1, 0.05, p=1e-5)
 LATE = IdleAttack("uncoordinated-1", 4.0, 3.8)
 OF_STUDIES: dict[str, tuple[list[StudyRow], IdleAttack | None]] = {
     "more false objects": (ROWS, None),
     "fewer false objects": ([BASELINE, row("a", {}, -2.0)], None),
     "no clear change": (picture(fp_iob=estimate(0.1, 0.5, p=0.6)), None),
-    "too few seeds": (picture(fp_iob=SeriesEstimate(4.0, 1.0, 4.0, seeds=3)), None),
-    "no change in any trial": (picture(fp_iob=replace(EQUAL, seeds=20)), None),
+    "too few seeds": (picture(fp_iob=Statistic(mean=4.0, std=1.0, value=4.0, seeds=3)), None),
+    "no change in any trial": (picture(fp_iob=EQUAL._replace(seeds=20)), None),
     "no results": (picture(), None),
     "equal in all seeds": (picture(fn_iob=SAME, fp_iob=NOTHING, rmse_m_iob=TINY), None),
     "identity switches": (picture(fp_iob=NOTHING, id_switches_iob=SWITCHES, rmse_m_iob=RMSE), None),
@@ -169,7 +169,7 @@ OF_STUDIES: dict[str, tuple[list[StudyRow], IdleAttack | None]] = {
     "RMSE below one centimetre": (picture(fp_iob=NOTHING, rmse_m_iob=TINY), None),
     "distinguishable alone": (picture(fp_iob=NOTHING, length_error_m_iob=estimate(0.4, 0.2, p=0.03)), None),
     "equal values": (picture(fp_iob=estimate(2.0), fn_iob=NOTHING, id_switches_iob=EQUAL), None),
-    "equal values of few seeds": (picture(fp_iob=estimate(2.0), id_switches_iob=replace(EQUAL, seeds=4)), None),
+    "equal values of few seeds": (picture(fp_iob=estimate(2.0), id_switches_iob=EQUAL._replace(seeds=4)), None),
     "seeds left out of all": (picture(fp=WHOLE), None),
     "seeds left out of RMSE": (picture(fp=estimate(1.0), rmse_m=WHOLE), None),
     "an attack that never began": ([BASELINE, ROWS[1]], LATE),
