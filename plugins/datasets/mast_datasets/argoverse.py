@@ -24,13 +24,9 @@ from mast_zenoh.sensing import Camera, LidarSensor
 
 POSES = "city_SE3_egovehicle.feather"
 _POSE = {**dict.fromkeys(("qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m"), "float64"), "timestamp_ns": "int64"}
-_BOX = {
-    **_POSE,
-    **dict.fromkeys(("length_m", "width_m", "height_m"), "float64"),
-    "track_uuid": "string",
-    "category": "string",
-    "num_interior_pts": "int64",
-}
+_SIZE = "length_m", "width_m", "height_m"
+_BOX = _POSE | dict.fromkeys(_SIZE, "float64") | dict.fromkeys(("track_uuid", "category"), "string")
+_BOX |= {"num_interior_pts": "int64"}
 
 #: Categories by class. The two halves of an articulated lorry are two objects, as in the data.
 CLASS_OF_CATEGORY = classes_of(
@@ -82,15 +78,13 @@ def read_poses(path: Path, times_ns: Ints) -> tuple[Floats, Floats]:
     In the city frame, at `times_ns` (F,).
     """
     columns = _read(path, _POSE)
-    order = np.argsort(columns["timestamp_ns"], kind="stable")
-    pose_times = columns["timestamp_ns"][order]
-    if np.any(np.diff(pose_times) == 0):
-        raise SceneError(f"{path}: timestamp_ns {pose_times[np.flatnonzero(np.diff(pose_times) == 0)[0]]} occurs twice")
-    rows = np.searchsorted(pose_times, times_ns)
-    missing = (rows == len(pose_times)) | (pose_times[np.minimum(rows, len(pose_times) - 1)] != times_ns)
-    if missing.any():
-        raise SceneError(f"{path}: no pose at timestamp_ns {times_ns[missing][0]} of the annotations")
-    return _poses(path, {name: values[order[rows]] for name, values in columns.items()})
+    times, rows, count = np.unique(columns["timestamp_ns"], return_index=True, return_counts=True)
+    if count.max(initial=1) > 1:
+        raise SceneError(f"{path}: timestamp_ns {times[count > 1][0]} occurs twice")
+    if len(missing := np.setdiff1d(times_ns, times)):
+        raise SceneError(f"{path}: no pose at timestamp_ns {missing[0]} of the annotations")
+    chosen = rows[np.searchsorted(times, times_ns)]
+    return _poses(path, {name: values[chosen] for name, values in columns.items()})
 
 
 def read_annotations(path: Path) -> Annotations:
@@ -110,11 +104,9 @@ def read_annotations(path: Path) -> Annotations:
     order = np.lexsort((track, frame))
     frame, track = frame[order], track[order]
     columns = {name: values[order] for name, values in columns.items()}
-    duplicates = np.flatnonzero((np.diff(frame) == 0) & (np.diff(track) == 0))
-    if len(duplicates):
-        name, time = columns["track_uuid"][duplicates[0]], times[frame[duplicates[0]]]
-        raise SceneError(f"{path}: track {name} occurs twice at timestamp_ns {time}")
-    size = np.stack([columns[name] for name in ("length_m", "width_m", "height_m")], axis=1)
+    for row in np.flatnonzero((np.diff(frame) == 0) & (np.diff(track) == 0)):
+        raise SceneError(f"{path}: track {columns['track_uuid'][row]} occurs twice at timestamp_ns {times[frame[row]]}")
+    size = np.stack([columns[name] for name in _SIZE], axis=1)
     if len(size) and (size.min() <= 0 or columns["num_interior_pts"].min() < 0):
         raise SceneError(f"{path}: a size is 0 or less, or num_interior_pts is negative")
     position, rotation = _poses(path, columns)
@@ -157,18 +149,15 @@ def _read(path: Path, expected: dict[str, str]) -> dict[str, NDArray[Any]]:
     except (pyarrow.ArrowException, OSError) as error:
         raise SceneError(f"{path}: cannot be read as Feather: {error}") from error
     columns = {name: read_column(path, table, name, kind) for name, kind in expected.items()}
-    for name, values in columns.items():
-        if expected[name] == "float64" and not np.isfinite(values).all():
-            row = int(np.flatnonzero(~np.isfinite(values))[0])
-            raise SceneError(f"{path}: column {name}, row {row} is {values[row]}, expected a finite number")
+    for name in (name for name, kind in expected.items() if kind == "float64"):
+        for row in np.flatnonzero(~np.isfinite(columns[name])):
+            raise SceneError(f"{path}: column {name}, row {row} is {columns[name][row]}, expected a finite number")
     return columns
 
 
 def _poses(path: Path, columns: dict[str, NDArray[Any]]) -> tuple[Floats, Floats]:
     quaternion = np.stack([columns[name] for name in ("qw", "qx", "qy", "qz")], axis=1).astype(np.float64)
-    length = np.linalg.norm(quaternion, axis=1)
-    if np.any(np.abs(length - 1.0) > 1e-3):
-        row = int(np.abs(length - 1.0).argmax())
+    for row in np.flatnonzero(np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) > 1e-3):
         raise SceneError(f"{path}: the quaternion {quaternion[row].tolist()} does not have length 1")
     position = np.stack([columns[name] for name in ("tx_m", "ty_m", "tz_m")], axis=1).astype(np.float64)
     return position, rotation_from_quaternion(quaternion)

@@ -2,33 +2,298 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
+from typing import Annotated, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from mast_datasets.avstack_files import (
-    ObjectState,
-    RunLayout,
-    SensorCalibration,
-    open_layout,
-    read_buildings,
-    read_calibration,
-    read_objects,
-    read_seen,
-    read_visibility,
-)
-from mast_datasets.traffic import ABOVE_0, DataSetScene
+from mast_datasets.archive import unpack
+from mast_datasets.files import Coordinate, Element, Point, read_json
+from mast_datasets.traffic import ABOVE_0, DataSetScene, boxes_of, check_steps, closed_outline
+from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.scenes.detection_tables import class_of
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
-from mast_zenoh.scenes.own_detections import read_json_lines
+from mast_zenoh.scenes.own_detections import lines_of_agents, read_json_lines
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording, SceneAgent
 from mast_zenoh.scenes.recording_file import check_counts
 from mast_zenoh.sensing import Camera, LidarSensor
+
+_MAX_DEPTH = 3  # levels of subfolders that are searched for a run
+
+
+class RunLayout(NamedTuple):
+    """A run folder, and the folders that may hold accompanying files, nearest first."""
+
+    run: Path
+    search_folders: tuple[Path, ...]
+
+    def accompanying_file(self, name: str) -> Path | None:
+        """The nearest accompanying file of that name; None: there is none."""
+        return next((folder / name for folder in self.search_folders if (folder / name).is_file()), None)
+
+    def frames(self) -> dict[int, Path]:
+        """The actors' file of every frame, in order.
+
+        Raises SceneError for gaps and for missing files.
+        """
+        folder = self.run / "objects"
+        actors, others = (_files(folder, kind) for kind in ("actors", "npcs"))
+        if not actors:
+            raise SceneError(f"{folder}: no file objectstate-actors-<frame>-<time>.txt")
+        _files(folder, "npcs", list(actors))
+        _files(folder, "actors", list(others))
+        check_steps(folder, list(actors))
+        return actors
+
+    def sensors(self, kind: str, agent: int) -> list[str]:
+        """Names of an agent's sensors of a kind with data, such as "lidar-0-3".
+
+        kind: "lidar" or "camera"
+        """
+        folder = self.run / "data"
+        names = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+        return [name for name in names if (parts := name.split("-"))[0] == kind and parts[-1] == str(agent)]
+
+    def calibrations(self, sensor: str, frames: Sequence[int]) -> dict[int, Path]:
+        """The calibration of a sensor in every frame."""
+        return _files(self.run / "data" / sensor, "calib", frames)
+
+
+@contextlib.contextmanager
+def open_layout(path: Path, max_unpacked_mb: float) -> Iterator[RunLayout]:
+    """Open the layout at `path`: a run folder, a folder above one, or a tar archive.
+
+    A folder above must contain a single run. An archive is unpacked into a temporary folder, without the images and
+    point clouds; the folder is deleted when the context ends. Raises SceneError without exactly one run, or if the
+    files exceed `max_unpacked_mb` (10^6 bytes).
+    """
+    if path.is_dir():
+        yield find_layout(path)
+        return
+    if not path.is_file():
+        raise SceneError(f"{path}: no such file or folder")
+    with tempfile.TemporaryDirectory(prefix="mast-scene-") as folder:
+        unpack(path, Path(folder), (".txt", ".json", ".jsonl"), int(max_unpacked_mb * 1e6))
+        # Error messages name the archive, not the temporary folder.
+        try:
+            yield find_layout(Path(folder))
+        except SceneError as error:
+            raise SceneError(str(error).replace(folder, str(path))) from error
+
+
+def find_layout(path: Path) -> RunLayout:
+    """The layout in a folder: the folder itself, or the only run below it."""
+    if (path / "objects").is_dir():
+        return RunLayout(path, (path, path.parent))
+    patterns = ("*/" * depth + "objects" for depth in range(1, _MAX_DEPTH + 1))
+    runs = [found.parent for pattern in patterns for found in sorted(path.glob(pattern)) if found.is_dir()]
+    if not runs:
+        raise SceneError(f"{path}: no run folder, expected a folder with objects/, objects_sensor/ and data/")
+    if len(runs) > 1:
+        names = ", ".join(str(run.relative_to(path)) for run in runs[:5])
+        raise SceneError(f"{path}: {len(runs)} runs ({names}), expected the path of one")
+    above = [folder for folder in runs[0].parents if folder == path or path in folder.parents]
+    return RunLayout(runs[0], (runs[0], *above))
+
+
+def _files(folder: Path, kind: str, frames: Sequence[int] | None = None) -> dict[int, Path]:
+    """The files of a kind by the frames in their names, in order; None: of all frames.
+
+    Raises SceneError with the first frame that has none, and for a name without a number.
+    """
+    begin = "calib-timestamp_" if kind == "calib" else f"objectstate-{kind}-"
+    name = re.compile(r".*-frame_([0-9]+)\.txt" if kind == "calib" else rf"{begin}([0-9]+)-[^-]*\.txt")
+    files: dict[int, Path] = {}
+    for path in folder.glob(f"{begin}*.txt"):
+        match = name.fullmatch(path.name)
+        if match is None:
+            raise SceneError(f"{path}: found no frame number in the name, expected {begin}… with one")
+        files[int(match[1])] = path
+    missing = [frame for frame in frames or () if frame not in files]
+    if frames and missing:
+        count = f"{len(missing)} of {len(frames)} frames"
+        raise SceneError(f"{folder}: no {kind} file for frame {missing[0]} (missing for {count})")
+    return {frame: files[frame] for frame in (sorted(files) if frames is None else frames)}
+
+
+#: Values of `occlusion` of an object that a sensor does not see: invalid and complete. 0, 1 and 2 mean none, partial
+#: and most, 99 means unknown.
+_HIDDEN = (-1, 3)
+_Side = Annotated[float, Meta(gt=0, le=1e8)]  # m
+_Fraction = Annotated[float, Meta(ge=0, le=1)]
+_Time = Annotated[float, Meta(ge=-9e9, le=9e9)]  # s; more nanoseconds are no 64 bit number
+_Pixels = Annotated[list[Annotated[int, Meta(ge=0, le=10**6)]], Meta(min_length=2)]
+_Focal = Annotated[list[Annotated[list[Coordinate], Meta(min_length=1)]], Meta(min_length=1)]
+
+
+class ObjectState(NamedTuple):
+    """One object or agent in the world.
+
+    class_id: index into CLASSES
+    position: (3,) m of its reference point; rotation: (3, 3) active, body to world
+    velocity: (3,) m/s; None: not stored
+    centre: (3,) m of its box; size: (3,) m l w h; yaw: rad of the box; all None without a box (a pole)
+    """
+
+    id: int
+    class_id: int
+    position: Floats
+    rotation: Floats
+    velocity: Floats | None
+    centre: Floats | None
+    size: Floats | None
+    yaw: float | None
+
+
+def read_seen(path: Path, frame: int) -> dict[int, float]:
+    """Ids in a file of `objects_sensor/` with visible fractions (1 if they are not stored).
+
+    Completely occluded objects are left out.
+    """
+    seen: dict[int, float] = {}
+    for state in _container(path, frame)[1]:
+        fraction = state.get("visible_fraction")
+        share = state["occlusion"].read(int) not in _HIDDEN if fraction is None else fraction.read(_Fraction)
+        if share > 0.0:
+            seen[state["ID"].read(int)] = float(share)
+    return seen
+
+
+def _object_state(data: Element) -> ObjectState:
+    position, rotation, velocity = _point(data, "position"), _rotation(data), None
+    if data.get("velocity") is not None:
+        vector, frame = _referenced(data, "velocity")
+        velocity = frame[1] @ np.array(vector["x"].read(Point))
+    centre = size = yaw = None
+    if data.get("box") is not None:
+        box = _parsed(data["box"])["box3d"]
+        height, width, length = box["hwl"].read(tuple[_Side, _Side, _Side])
+        turn = _rotation(box)
+        bottom = box["where_is_t"].text(("bottom", "center")) == "bottom"
+        centre = _point(box, "position") + (turn[:, 2] * height / 2 if bottom else 0.0)
+        size, yaw = np.array([length, width, height]), float(heading(turn))
+    class_id = class_of(data["obj_type"].text())
+    return ObjectState(data["ID"].read(int), class_id, position, rotation, velocity, centre, size, yaw)
+
+
+def _point(data: Element, name: str) -> Floats:
+    """(3,) m, a position in the world."""
+    point, (origin, rotation) = _referenced(data, name)
+    return np.asarray(origin + rotation @ np.array(point["x"].read(Point)))
+
+
+def _rotation(data: Element) -> Floats:
+    """(3, 3) active rotation of an attitude, body to world."""
+    attitude, (_, rotation) = _referenced(data, "attitude")
+    return np.asarray(rotation @ _active(attitude))
+
+
+def _referenced(data: Element, name: str) -> tuple[Element, tuple[Floats, Floats]]:
+    """A position, velocity or attitude, and the pose of its reference frame."""
+    value = _parsed(data[name])[name]
+    return value, _frame(value["reference"])
+
+
+def _frame(reference: Element) -> tuple[Floats, Floats]:
+    """Position (3,) m and active rotation (3, 3) of a reference frame in the world."""
+    try:
+        return _pose(reference.text())
+    except SceneError as error:
+        raise SceneError(f"{reference.path}: {reference.place}: {error}") from error
+
+
+@lru_cache(maxsize=256)
+def _pose(reference: str) -> tuple[Floats, Floats]:
+    """Position (3,) m and active rotation (3, 3) of a reference frame, resolved through all its parents."""
+    data = _parsed(Element(reference, Path("its text")))["reference"]
+    position, rotation = np.array(data["x"].read(Point)), _active(data)
+    if data["reference"].value is None:
+        return position, rotation
+    parent_position, parent_rotation = _pose(data["reference"].text())
+    return parent_position + parent_rotation @ position, parent_rotation @ rotation
+
+
+def _active(data: Element) -> Floats:
+    """(3, 3) active rotation of a passive quaternion."""
+    quaternion = np.array([data["qw"].read(Coordinate), *data["qv"].read(Point)])
+    if abs(float(np.linalg.norm(quaternion)) - 1.0) > 1e-3:
+        data.fail("a quaternion qw, qv of length 1")
+    return rotation_from_quaternion(quaternion * [1.0, -1.0, -1.0, -1.0])
+
+
+def _states(path: Path, frame: int) -> tuple[float, list[ObjectState]]:
+    """Time s and states in a file of `objects/`."""
+    time, listed = _container(path, frame)
+    return time, [_object_state(data) for data in listed]
+
+
+def _container(path: Path, frame: int) -> tuple[float, list[Element]]:
+    """Time s, and the objects in a file of a frame."""
+    container = read_json(path)["datacontainer"]
+    if container["frame"].read(int) != frame:
+        container["frame"].fail(f"{frame} as in the name of the file")
+    listed = [_parsed(element)["objectstate"] for element in container["data"].elements()]
+    return container["timestamp"].read(_Time), listed
+
+
+def _parsed(element: Element) -> Element:
+    """What the text of a value says in JSON."""
+    try:
+        return Element(msgspec.json.decode(element.text()), element.path, element.place)
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise SceneError(f"{element.path}: {element.place}: not JSON: {error}") from error
+
+
+_DEFAULT_HEIGHT_M = 12.0  # of buildings
+
+
+class _Returns(Struct, array_like=True):
+    """Lidar returns of an object; more numbers may follow."""
+
+    id: int
+    points: Annotated[int, Meta(ge=0, le=2**31 - 1)]
+
+
+def read_visibility(
+    path: Path, frames: Sequence[int], agents: Sequence[int], ids: Ints, start: Ints
+) -> NDArray[np.int32]:
+    """(N, A) lidar returns of each truth row at each agent, from `visibility.jsonl`.
+
+    ids (N,) and start (F + 1,): the truth rows. Objects that are not listed have no returns.
+    """
+    points = np.zeros((len(ids), len(agents)), np.int32)
+    for place, frame, agent, data in lines_of_agents(path, frames, agents, "objects"):
+        row = {int(i): k for k, i in enumerate(ids[start[frame] : start[frame + 1]], start=int(start[frame]))}
+        for listed in Element(data, Path(place)).read(list[_Returns]):
+            if listed.id not in row:
+                raise SceneError(f"{place}: object {listed.id} is not in the scene in this frame")
+            points[row[listed.id], agent] = listed.points
+    return points
+
+
+def read_buildings(path: Path | None, scene: Path | None) -> tuple[tuple[Floats, ...], Floats]:
+    """Outlines, each (k, 2) m, and heights (B,) m, from `buildings.json`; None: there are none.
+
+    The polygons are in the world frame. All have the height `building_height_m` of `scene.json`, by default 12 m.
+    """
+    height = read_json(scene).get("building_height_m") if path and scene else None
+    outlines = []
+    for polygon in read_json(path).elements() if path else ():
+        corners = np.array(polygon.read(list[tuple[Coordinate, Coordinate]]))
+        outlines.append(closed_outline(corners, polygon.fail))
+    return tuple(outlines), np.full(len(outlines), _DEFAULT_HEIGHT_M if height is None else height.read(Coordinate))
+
 
 #: Object id of agent 0; agent k, if it is an object, has this plus k. The layout numbers agents and objects
 #: separately, both from 0, and its original reader gives the ego this id.
@@ -74,33 +339,34 @@ class AVstackScene(DataSetScene):
 
     def record(self, seed: int, frames: int | None) -> Recording:
         with open_layout(self.root, self.max_unpacked_mb) as layout:
-            return self._record(layout, seed, frames)
+            return self._record(layout, layout.frames(), seed, frames)
 
-    def _record(self, layout: RunLayout, seed: int, frames: int | None) -> Recording:
-        numbers = list(layout.frames())
+    def _record(self, layout: RunLayout, files: dict[int, Path], seed: int, frames: int | None) -> Recording:
+        numbers = list(files)
         if frames is not None:
             if not 1 <= frames <= len(numbers):
                 raise ConfigurationError(f"{self.path}: {frames} frames requested, the scene has {len(numbers)}")
             numbers = numbers[:frames]
-        times, actors, objects = _read_states(layout, numbers)
+        times, actors, objects = _read_states({frame: files[frame] for frame in numbers})
         agents = self._agents(actors[0], layout.run)
         boxes, start = _boxes(objects)
-        file = layout.accompanying_file("buildings.json")
-        outlines, heights = read_buildings(file, layout.accompanying_file("scene.json")) if file else ((), np.zeros(0))
+        outlines, heights = read_buildings(*map(layout.accompanying_file, ("buildings.json", "scene.json")))
         paths = [
             _path(layout, numbers, number, k == 0, [each[number] for each in actors]) for k, number in enumerate(agents)
         ]
         make = partial(assemble, self.root.name, times, boxes, seed=seed, buildings=outlines, building_height=heights)
-        none = Detections.empty(), np.zeros(len(times) * len(paths) + 1, np.int64), np.zeros(0, np.int64)
-        points = _points(layout, boxes.id, start, numbers, agents, lambda: make(paths, none).points)
+        if file := layout.accompanying_file("visibility.jsonl"):
+            points = read_visibility(file, numbers, agents, boxes.id, start)
+        else:
+            none = Detections.empty(), np.zeros(len(times) * len(paths) + 1, np.int64), np.zeros(0, np.int64)
+            points = _points(layout, boxes.id, start, numbers, agents, make(paths, none).points)
         bottoms = np.split(boxes.position[:, 2] - boxes.size[:, 2] / 2, start[1:-1])
         ground = np.array([np.median(bottom) for bottom in bottoms])
         paths = [replace(path, points=points[:, k], ground=ground) for k, path in enumerate(paths)]
+        turns = np.stack([path.rotation @ path.agent.sensor.mount_rotation for path in paths], axis=1)
         file = layout.accompanying_file("detections.jsonl") if self.replay else None
-        if file is None:
-            return replace(make(paths, self.detector), times_ns=times)
-        turns = [path.rotation @ path.agent.sensor.mount_rotation for path in paths]
-        return replace(make(paths, read_json_lines(file, numbers, agents, np.stack(turns, axis=1))), times_ns=times)
+        detected = read_json_lines(file, numbers, agents, turns) if file else self.detector
+        return replace(make(paths, detected), times_ns=times)
 
     def _agents(self, actors: dict[int, ObjectState], run: Path) -> list[int]:
         """Numbers of the agents: the ego, other mobile agents, then static agents."""
@@ -114,7 +380,7 @@ class AVstackScene(DataSetScene):
 
 
 def _read_states(
-    layout: RunLayout, numbers: list[int]
+    files: dict[int, Path],
 ) -> tuple[Ints, list[dict[int, ObjectState]], list[dict[int, ObjectState]]]:
     """Times (F,) ns, and the actors by number and objects by id of every frame.
 
@@ -123,13 +389,11 @@ def _read_states(
     times: list[float] = []
     all_actors: list[dict[int, ObjectState]] = []
     all_objects: list[dict[int, ObjectState]] = []
-    actor_files = layout.frames()
-    for frame in numbers:
-        path = actor_files[frame]
-        time, actors = read_objects(path, frame)
+    for frame, path in files.items():
+        time, actors = _states(path, frame)
         by_number = {state.id: state for state in sorted(actors, key=lambda state: state.id)}
         others_path = path.with_name(path.name.replace("-actors-", "-npcs-"))
-        others_time, others = read_objects(others_path, frame)
+        others_time, others = _states(others_path, frame)
         if others_time != time:
             raise SceneError(f"{others_path}: time {others_time} s, but {time} s in {path.name}")
         if times and time <= times[-1]:
@@ -150,19 +414,13 @@ def _read_states(
 
 def _boxes(objects: list[dict[int, ObjectState]]) -> tuple[SceneBoxes, Ints]:
     """The boxes of all objects by frame and id, and the row (F + 1,) with which each frame begins."""
-    rows = [(frame, number, state) for frame, each in enumerate(objects) for number, state in each.items()]
-    states = [state for _, _, state in rows]
     unknown = np.full(3, np.nan)
-    boxes = SceneBoxes(
-        frame=np.array([frame for frame, _, _ in rows], np.int64),
-        id=np.array([number for _, number, _ in rows], np.int64),
-        position=np.array([state.centre for state in states]),
-        size=np.array([state.size for state in states]),
-        yaw=np.array([state.yaw for state in states]),
-        class_id=np.array([state.class_id for state in states], np.uint8),
-        velocity=np.array([unknown if state.velocity is None else state.velocity for state in states]),
-    )
-    return boxes, np.cumsum([0, *map(len, objects)])
+    rows = [
+        (frame, number, each.centre, each.size, each.yaw, each.class_id, unknown if each.velocity is None else each[4])
+        for frame, now in enumerate(objects)
+        for number, each in now.items()
+    ]
+    return boxes_of(rows), np.cumsum([0, *map(len, objects)])
 
 
 def _path(layout: RunLayout, numbers: list[int], number: int, is_ego: bool, states: list[ObjectState]) -> AgentPath:
@@ -173,9 +431,10 @@ def _path(layout: RunLayout, numbers: list[int], number: int, is_ego: bool, stat
     if not lidars:
         raise SceneError(f"{layout.run / 'data'}: no folder lidar-<k>-{number} for agent {number}")
     files = layout.calibrations(lidars[0], numbers)
-    mount_position, mount_rotation = _mount(read_calibration(files[numbers[0]]), position[0], rotation[0])
+    mount_position, mount_rotation = _mount(read_json(files[numbers[0]])["calibration"], position[0], rotation[0])
     for k, path in enumerate(files.values()):
-        calibrated, expected = read_calibration(path).position, position[k] + rotation[k] @ mount_position
+        calibrated, _ = _frame(read_json(path)["calibration"]["reference"])
+        expected = position[k] + rotation[k] @ mount_position
         if np.abs(calibrated - expected).max() > _MAX_MOUNT_ERROR_M:
             raise SceneError(
                 f"{path}: the lidar is at {np.round(calibrated, 2).tolist()}, expected "
@@ -185,56 +444,44 @@ def _path(layout: RunLayout, numbers: list[int], number: int, is_ego: bool, stat
     lidar = replace(lidar, mount_position=mount_position, mount_rotation=mount_rotation)
     camera = Camera()
     for name in layout.sensors("camera", number)[:1]:
-        path = layout.calibrations(name, numbers)[numbers[0]]
-        read = read_calibration(path)
-        if read.focal is None or read.width is None or read.height is None:
-            raise SceneError(f"{path}: img_shape is missing, expected the calibration of a camera")
+        read = read_json(layout.calibrations(name, numbers)[numbers[0]])["calibration"]
+        height, width, *_ = read["img_shape"].read(_Pixels)
         camera_position, camera_rotation = _mount(read, position[0], rotation[0])
-        camera = Camera(camera_position, camera_rotation @ _OPTICAL, read.width, read.height, read.focal)
+        camera = Camera(camera_position, camera_rotation @ _OPTICAL, width, height, read["P"].read(_Focal)[0][0])
     name = "ego" if is_ego else f"mobile_{number}" if mobile else f"infra_{number}"
     kind, own = ("mobile", EGO_ID + number) if mobile else ("static", -1)
     velocity = None if mobile else np.zeros_like(position)
     return AgentPath(SceneAgent(name, kind, own, lidar, camera), position, rotation, velocity)
 
 
-def _mount(calibration: SensorCalibration, position: Floats, rotation: Floats) -> tuple[Floats, Floats]:
+def _mount(calibration: Element, position: Floats, rotation: Floats) -> tuple[Floats, Floats]:
     """A sensor's pose in its agent's frame, from both poses in the world.
 
     Some writers give the sensor's pose relative to the agent, others to the world: resolved, both are the same.
     """
-    return rotation.T @ (calibration.position - position), rotation.T @ calibration.rotation
+    origin, turn = _frame(calibration["reference"])
+    return rotation.T @ (origin - position), rotation.T @ turn
 
 
 def _points(
-    layout: RunLayout,
-    ids: Ints,
-    start: Ints,
-    numbers: list[int],
-    agents: list[int],
-    cast: Callable[[], NDArray[np.int32]],
+    layout: RunLayout, ids: Ints, start: Ints, numbers: list[int], agents: list[int], cast_points: NDArray[np.int32]
 ) -> NDArray[np.int32]:
-    """(N, A) lidar returns, from the best source available.
+    """(N, A) lidar returns, from the lidars' object files where there are any.
 
-    ids, start: (N,) of the boxes, and (F + 1,) row with which each frame begins; cast: what ray casting gives
+    ids, start: (N,) of the boxes, and (F + 1,) row with which each frame begins; cast_points: what ray casting gives
     """
-    file = layout.accompanying_file("visibility.jsonl")
-    if file is not None:
-        return read_visibility(file, numbers, agents, ids, start)
-    cast_points = cast()
     points = cast_points.copy()
     listed: set[int] = set()
     for column, number in enumerate(agents):
-        files = layout.seen(layout.sensors("lidar", number)[0], numbers)
-        if files is None:
+        folder = layout.run / "objects_sensor" / layout.sensors("lidar", number)[0]
+        if not folder.is_dir():
             continue
         points[:, column] = 0
-        for k, (frame, path) in enumerate(files.items()):
+        for k, (frame, path) in enumerate(_files(folder, "objects", numbers).items()):
             seen = read_seen(path, frame)
             listed |= seen.keys()
             for row in range(start[k], start[k + 1]):
-                fraction = seen.get(int(ids[row]), -1.0)
-                if fraction != -1.0:
-                    share = 1.0 if fraction is None else fraction
+                if (share := seen.get(int(ids[row]))) is not None:
                     points[row, column] = max(SEEN_RETURNS, round(share * int(cast_points[row, column])))
     # If a data set never lists the agents as objects, their visibility comes from ray casting.
     unlisted = (ids >= EGO_ID) & ~np.isin(ids, sorted(listed))

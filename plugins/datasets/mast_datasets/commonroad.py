@@ -17,6 +17,7 @@ from mast_datasets.traffic import (
     classes_of,
     closed_outline,
     ego_in_traffic,
+    ground_below,
 )
 from mast_datasets.xml_files import XmlElement, has_root, read_xml
 from mast_zenoh.arrays.states import Floats
@@ -30,8 +31,7 @@ _MAX_SIZE_M = 1000.0
 _SHAPES = ("rectangle", "circle", "polygon")
 
 
-@dataclass(frozen=True, eq=False)
-class Outline:
+class Outline(NamedTuple):
     """The box around a shape, in the obstacle's frame.
 
     size: (2,) m, length and width; centre: (2,) m, its middle; yaw: rad
@@ -44,11 +44,10 @@ class Outline:
 
 def read_outline(shape: XmlElement) -> Outline:
     """The box around the only shape of an obstacle: a rectangle, or the box of a circle or polygon."""
-    shapes = [child for child in shape.children if child.tag in _SHAPES]
-    if len(shapes) != 1 or len(shape.children) != 1:
+    if len(shape.children) != 1 or shape.children[0].tag not in _SHAPES:
         names = ", ".join(child.tag for child in shape.children[:10]) or "nothing"
         shape.fail(f"found {names}, expected one of {', '.join(_SHAPES)}")
-    (part,) = shapes
+    (part,) = shape.children
     if part.tag == "polygon":
         corners = read_polygon(part)
         low, high = corners.min(axis=0), corners.max(axis=0)
@@ -100,19 +99,13 @@ class Obstacle(NamedTuple):
     boxes: SceneBoxes
 
 
-@dataclass(frozen=True, eq=False)
-class ScenarioFile:
+class ScenarioFile(NamedTuple):
     """The content of a file: its name, the duration of a time step s, obstacles by id, and outlines of buildings."""
 
     name: str
     step_s: float
     obstacles: dict[int, Obstacle]
     buildings: list[Floats]
-
-
-def find_scenario(path: Path) -> Path:
-    """The scenario at `path`: a file, or a folder with a single file *.xml or *.xml.gz."""
-    return find_file(path, "files *.xml", lambda file: file.name.endswith((".xml", ".xml.gz")))
 
 
 def read_scenario(path: Path) -> ScenarioFile:
@@ -127,17 +120,15 @@ def read_scenario(path: Path) -> ScenarioFile:
     obstacles: dict[int, Obstacle] = {}
     buildings: list[Floats] = []
     for element in elements:
-        kind = element.child("type").text.text() if element.tag != "phantomObstacle" else ""
-        if element.tag == "environmentObstacle" and kind == "building":
-            buildings.append(read_polygon(element.child("shape").child("polygon")))
-        if element.tag in ("environmentObstacle", "phantomObstacle"):
-            continue
-        number = element.attribute("id").integer(0)
-        if element.child("type").text.text((*CLASS_OF_TYPE, *LEFT_OUT)) in LEFT_OUT:
-            continue
-        if number in obstacles:
-            element.fail(f"id {number} occurs twice, expected it once")
-        obstacles[number] = _obstacle(element, number, CLASS_OF_TYPE[kind])
+        kind = element.child("type").text if element.tag != "phantomObstacle" else None
+        if kind and element.tag == "environmentObstacle":
+            if kind.text() == "building":
+                buildings.append(read_polygon(element.child("shape").child("polygon")))
+        elif kind and kind.text((*CLASS_OF_TYPE, *LEFT_OUT)) not in LEFT_OUT:
+            number = element.attribute("id").integer()
+            if number in obstacles:
+                element.fail(f"id {number} occurs twice, expected it once")
+            obstacles[number] = _obstacle(element, number, CLASS_OF_TYPE[kind.text()])
     return ScenarioFile(name, step_s, obstacles, buildings)
 
 
@@ -147,10 +138,11 @@ def _obstacle(element: XmlElement, number: int, class_id: int) -> Obstacle:
         moving = element.child("role").text.text(("dynamic", "static")) == "dynamic"
     outline = read_outline(element.child("shape"))
     states = list(_states(element, moving))
-    first = _step(states[0])
-    for index, state in enumerate(states):
-        if _step(state) != first + index:
-            state.child("time").fail(f"found time step {_step(state)}, expected {first + index}: the next one")
+    steps = [state.child("time").child("exact").text.integer(0, _MAX_STEP) for state in states]
+    first = steps[0]
+    for step, expected, state in zip(steps, range(first, first + len(steps)), states, strict=True):
+        if step != expected:
+            state.child("time").fail(f"found time step {step}, expected {expected}: the next one")
     position, yaw = _poses(states, outline)
     velocity = _velocities(states, yaw - outline.yaw) if moving else np.zeros((1, 2))
     height, none = HEIGHT_OF_CLASS[class_id], np.zeros((len(states), 1))
@@ -172,10 +164,6 @@ def _states(element: XmlElement, moving: bool) -> Iterator[XmlElement]:
         yield state
 
 
-def _step(state: XmlElement) -> int:
-    return state.child("time").child("exact").text.integer(0, _MAX_STEP)
-
-
 def _poses(states: list[XmlElement], outline: Outline) -> tuple[Floats, Floats]:
     """Position (K, 2) m of the middle of the box, and its yaw (K,) rad."""
     origin = np.array([read_point(state.child("position").child("point")) for state in states])
@@ -187,19 +175,15 @@ def _poses(states: list[XmlElement], outline: Outline) -> tuple[Floats, Floats]:
 
 def _velocities(states: list[XmlElement], angle: Floats) -> Floats:
     """(K, 2) m/s: `velocity` along the orientation and, if there is one, `velocityY` to the left of it."""
-    velocity = np.full((len(states), 2), np.nan)
-    for row, (state, yaw) in enumerate(zip(states, angle, strict=True)):
-        forward = state.get_child("velocity")
-        if forward is None:
-            continue
-        ahead = forward.child("exact").text.number(-200.0, 200.0)
-        sideways = state.get_child("velocityY")
-        left = 0.0 if sideways is None else sideways.child("exact").text.number(-200.0, 200.0)
-        velocity[row] = (
-            ahead * np.cos(yaw) - left * np.sin(yaw),
-            ahead * np.sin(yaw) + left * np.cos(yaw),
+    ahead, left = (
+        np.array([part.child("exact").text.number(-200.0, 200.0) if part else usual for part in parts])
+        for usual, parts in (
+            (np.nan, [state.get_child("velocity") for state in states]),
+            (0.0, [state.get_child("velocityY") for state in states]),
         )
-    return velocity
+    )
+    x, y = ahead * np.cos(angle) - left * np.sin(angle), ahead * np.sin(angle) + left * np.cos(angle)
+    return np.stack([x, y], axis=1)
 
 
 _MAX_BOXES = 2_000_000
@@ -235,13 +219,12 @@ class CommonRoadScenario(TrafficScene):
         return has_root(path, "commonRoad")
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        file = find_scenario(self.root)
+        file = find_file(self.root, "files *.xml", lambda file: file.name.endswith((".xml", ".xml.gz")))
         scenario = read_scenario(file)
         start, count = self._window(scenario, file)
         boxes = _boxes(scenario.obstacles.values(), start, count, file)
         ego = busiest_vehicle(boxes, count, file) if self.ego is None else self.ego
-        origin = np.array([*boxes.position[(boxes.id == ego) & (boxes.frame == 0), :2][0], 0.0])
-        boxes = replace(boxes, position=boxes.position - origin)
+        origin, boxes = ground_below(boxes, ego, boxes.position[boxes.rows_of(ego)])
         return assemble(
             scenario.name,
             np.round(np.arange(count) * scenario.step_s * 1e9).astype(np.int64),

@@ -1,34 +1,23 @@
-"""Scenes of V2X-Seq-SPD and DAIR-V2X-C: a car and a pole."""
+"""Scenes of V2X-Seq-SPD and DAIR-V2X-C: a car and a pole. Their labels and calibrations are those of RCooper, too.
+
+Yu et al.: DAIR-V2X, CVPR 2022; Yu et al.: V2X-Seq, CVPR 2023; Hao et al.: RCooper, CVPR 2024.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import os
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
-from mast_datasets.dair_files import (
-    INFRASTRUCTURE,
-    VEHICLE,
-    Layout,
-    Pair,
-    box,
-    class_of,
-    clocks,
-    dimensions,
-    frame_number,
-    location,
-    open_layout,
-    read_labels,
-    read_pairs,
-    split_path,
-    track_of,
-)
-from mast_datasets.files import Element
-from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, check_times, listed_returns
+from mast_datasets.files import Coordinate, Element, Name, Point, choose_name, find_folder, read_json
+from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, check_times, classes_of, listed_returns
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_yaw, to_world
 from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
@@ -36,6 +25,251 @@ from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble, ground_level
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
+
+MAX_LABELS = 5_000  # in one file
+_Length = Annotated[float, Meta(ge=0, le=1e8)]
+_Track = str | Annotated[int, Meta(ge=-1, le=2**63 - 1)]
+_Corners = Annotated[list[Point], Meta(min_length=8, max_length=8)]
+
+#: Types by class, in lower case. A van is a car; three wheels and a motor count as a motorcycle.
+CLASS_OF_TYPE = classes_of(
+    car="car van",
+    truck="truck",
+    bus="bus",
+    motorcycle="motorcycle motorcyclist tricycle tricyclist",
+    bicycle="bicycle bicyclist cyclist",
+    pedestrian="pedestrian barrowlist",
+)
+#: Types that are not road users, in lower case.
+LEFT_OUT = ("trafficcone", "traffic_cone")
+
+# Signs of the corners of `world_8_points`: four at the bottom, then four at the top, each from the front left
+# clockwise (seen from above).
+_CORNERS = np.array([[x, y, z] for z in (-1, 1) for x, y in ((1, 1), (1, -1), (-1, -1), (-1, 1))]) / 2
+_MAX_CORNER_ERROR_M = 0.5  # between the corners in a file and those of an upright box; cars lean on slopes
+
+
+def read_labels(path: Path) -> list[Element]:
+    """The labels of a frame, without those of types that are `LEFT_OUT`."""
+    labels = read_json(path).elements()
+    if len(labels) > MAX_LABELS:
+        raise SceneError(f"{path}: found {len(labels)} labels, expected at most {MAX_LABELS}")
+    return [label for label in labels if type_of(label) not in LEFT_OUT]
+
+
+def type_of(label: Element) -> str:
+    """The type of a label, in lower case."""
+    return label["type"].text().lower()
+
+
+def location(label: Element) -> Floats:
+    """(3,) m, middle of the box of a label."""
+    return np.array([label["3d_location"][axis].read(Coordinate) for axis in "xyz"])
+
+
+def dimensions(label: Element) -> Floats:
+    """(3,) m, length, width and height of a label, 0 or more."""
+    return np.array([label["3d_dimensions"][side].read(_Length) for side in "lwh"])
+
+
+def box(label: Element) -> tuple[Floats, Floats, float]:
+    """Position (3,) m, size (3,) m and yaw rad of a label, from its eight corners if it has them."""
+    if corners := label.get("world_8_points"):
+        return _box_of_corners(corners)
+    size = dimensions(label)
+    if size.min() <= 0:
+        label["3d_dimensions"].fail("3 numbers above 0")
+    return location(label), size, label["rotation"].read(Coordinate)
+
+
+def _box_of_corners(element: Element) -> tuple[Floats, Floats, float]:
+    """The upright box nearest to eight corners, see `_CORNERS`."""
+    corners = np.array(element.read(_Corners))
+    forward, left = corners[0] - corners[3], corners[0] - corners[1]
+    size = np.array([np.linalg.norm(forward), np.linalg.norm(left), np.linalg.norm(corners[4] - corners[0])])
+    if size.min() <= 0:
+        element.fail("8 corners of a box with sizes above 0")
+    position, yaw = corners.mean(axis=0), math.atan2(forward[1], forward[0])
+    upright = position + (_CORNERS * size) @ rotation_from_yaw(yaw).T
+    if np.abs(upright - corners).max() > _MAX_CORNER_ERROR_M:
+        element.fail("8 corners of an upright box: 4 at the bottom, 4 at the top, each from the front left clockwise")
+    return position, size, yaw
+
+
+def track_of(label: Element, key: str = "track_id") -> str:
+    """The name of a label's track: text, or a number as text; empty if the label has none."""
+    element = label.get(key)
+    if element is None:
+        return ""
+    name = str(element.read(_Track))
+    return name if 1 <= len(name) <= 100 else element.fail("a name of 1 to 100 characters")
+
+
+def read_transform(path: Path) -> tuple[Floats, Floats]:
+    """Position (3,) m and rotation (3, 3), active, of a calibration file: of the first frame in the second.
+
+    The file has `rotation` (3 x 3) and `translation` (3, or 3 x 1), at the top or in an object `transform`.
+    """
+    root = read_json(path)
+    root = root.get("transform") or root
+    rows = root["translation"]
+    if isinstance(rows.value, list):
+        rows.value = [row[0] if isinstance(row, list) and len(row) == 1 else row for row in rows.value]
+    return np.array(rows.read(Point)), root["rotation"].rotation()
+
+
+PAIRS = "cooperative/data_info.json"
+VEHICLE, INFRASTRUCTURE = "vehicle-side", "infrastructure-side"
+_Time = Annotated[int, Meta(ge=0, le=9 * 10**15)]  # µs, so that nanoseconds fit into 64 bits
+_Offset = Annotated[float, Meta(ge=-1000, le=1000)]  # m
+_SHOWN = 10  # names of sequences in a message
+_NAME = re.compile(r"[0-9A-Za-z_]{1,40}")
+
+
+class Pair(NamedTuple):
+    """A frame of the car, and the pole's frame that belongs to it.
+
+    vehicle, infrastructure:          names of the frames
+    time_ns, infrastructure_time_ns:  of their point clouds
+    offset:                           (2,) m, of the pole relative to the car's localisation, in the frame of the labels
+    """
+
+    vehicle: str
+    infrastructure: str
+    time_ns: int
+    infrastructure_time_ns: int
+    offset: Floats
+
+
+class LidarPoses(NamedTuple):
+    """Poses of a lidar in the world: position (F, 3) m, rotation (F, 3, 3) active."""
+
+    position: Floats
+    rotation: Floats
+
+
+class DAIRFolder(NamedTuple):
+    """The folders of a data set.
+
+    root:     with cooperative, vehicle-side and infrastructure-side
+    in_world: the cooperative labels are in the world frame (DAIR-V2X-C), otherwise in the car's lidar (V2X-Seq-SPD)
+    """
+
+    root: Path
+    in_world: bool
+
+    def clocks(self, side: str) -> Path:
+        """The file with the times of a side's frames. side: VEHICLE or INFRASTRUCTURE"""
+        return self.root / side / "data_info.json"
+
+    def cooperative_labels(self, pair: Pair) -> Path:
+        """The file with the cooperative labels of a pair."""
+        return self.root / "cooperative" / ("label_world" if self.in_world else "label") / f"{pair.vehicle}.json"
+
+    def poses(self, pairs: list[Pair]) -> tuple[LidarPoses, LidarPoses]:
+        """The poses of the lidars of the car, and of the pole with the pairs' offsets."""
+        poses: tuple[list[Floats], ...] = [], [], [], []
+        calibration = self.root / VEHICLE / "calib"
+        for pair in pairs:
+            mount, turned = read_transform(calibration / "lidar_to_novatel" / f"{pair.vehicle}.json")
+            position, rotation = read_transform(calibration / "novatel_to_world" / f"{pair.vehicle}.json")
+            position, rotation = position + rotation @ mount, rotation @ turned
+            file = self.root / INFRASTRUCTURE / "calib" / "virtuallidar_to_world" / f"{pair.infrastructure}.json"
+            place, facing = read_transform(file)
+            offset = np.append(pair.offset, 0.0)
+            offset = offset if self.in_world else rotation @ offset
+            for column, value in zip(poses, (position, rotation, place + offset, facing), strict=True):
+                column.append(value)
+        columns = [np.array(column) for column in poses]
+        return LidarPoses(*columns[:2]), LidarPoses(*columns[2:])
+
+
+def split_path(path: Path) -> tuple[Path, str | None]:
+    """The folder of the data set, and the name of a sequence if the path ends in one: `<data set>/<sequence>`."""
+    if not os.path.exists(path) and os.path.isfile(path.parent / PAIRS):
+        return path.parent, path.name
+    return path, None
+
+
+def open_layout(path: Path) -> DAIRFolder:
+    """The data set at `path`: its folder, or a folder that holds a single one."""
+    root = find_folder(path, f"data sets with a file {PAIRS}", lambda folder: (folder / PAIRS).is_file())
+    kinds = [name for name in ("label", "label_world") if (root / "cooperative" / name).is_dir()]
+    if len(kinds) != 1:
+        raise SceneError(
+            f"{root / 'cooperative'}: found {len(kinds)} of the folders label (V2X-Seq-SPD) and label_world "
+            "(DAIR-V2X-C), expected one"
+        )
+    return DAIRFolder(root, kinds[0] == "label_world")
+
+
+def read_pairs(layout: DAIRFolder, sequence: str | None) -> list[Pair]:
+    """The pairs of a sequence, in the order of the car's frames.
+
+    sequence: None: the only one. Raises ConfigurationError, with the names, if there are several.
+    """
+    file = layout.root / PAIRS
+    sides = {side: _side(layout.clocks(side)) for side in (VEHICLE, INFRASTRUCTURE)}
+    groups: dict[str, dict[str, tuple[Pair, str]]] = {}
+    for entry in read_json(file).elements():
+        pair, group, pole_group = _pair(entry, sides, layout.in_world)
+        members = groups.setdefault(group, {})
+        if pair.vehicle in members:
+            raise SceneError(f"{file}: {entry.place}: found frame {pair.vehicle} of the car twice, expected it once")
+        members[pair.vehicle] = pair, pole_group
+    chosen = choose_name(layout.root, "sequence", groups, sequence)
+    poles = sorted({pole_group for _, pole_group in groups[chosen].values()})
+    if len(poles) != 1:
+        raise SceneError(
+            f"{file}: sequence {chosen}: found frames of the pole from the sequences {', '.join(poles[:_SHOWN])}, "
+            "expected one sequence"
+        )
+    return [groups[chosen][name][0] for name in sorted(groups[chosen], key=lambda name: (len(name), name))]
+
+
+def clocks(pairs: list[Pair]) -> tuple[Ints, Floats]:
+    """Times (F,) ns of the car's frames, and how much later (F,) s the pole's frames are."""
+    vehicle = np.array([pair.time_ns for pair in pairs], np.int64)
+    infrastructure = np.array([pair.infrastructure_time_ns for pair in pairs], np.int64)
+    return vehicle, (infrastructure - vehicle) / 1e9
+
+
+def _side(path: Path) -> dict[str, Element]:
+    """The frames of one side, by name."""
+    frames: dict[str, Element] = {}
+    for entry in read_json(path).elements():
+        name = _name(entry.get("frame_id") or entry["pointcloud_path"])
+        if name in frames:
+            raise SceneError(f"{path}: {entry.place}: found frame {name} twice, expected it once")
+        frames[name] = entry
+    return frames
+
+
+def _name(element: Element) -> str:
+    """A name, or the name of the file at a path, that is safe as the name of a file."""
+    name = str(element.read(Name)).rsplit("/", 1)[-1].removesuffix(".pcd")
+    return name if _NAME.fullmatch(name) else element.fail("a name of 1 to 40 letters, digits and _")
+
+
+def _pair(entry: Element, sides: Mapping[str, dict[str, Element]], in_world: bool) -> tuple[Pair, str, str]:
+    """A pair, and the sequences of its two frames."""
+    frames, times, groups = [], [], []
+    for side, key in ((VEHICLE, "vehicle"), (INFRASTRUCTURE, "infrastructure")):
+        named = entry[f"{key}_pointcloud_path"] if in_world else entry[f"{key}_frame"]
+        frames.append(_name(named))
+        info = sides[side].get(frames[-1]) or named.fail(f"a frame of {side}/data_info.json")
+        times.append(info["pointcloud_timestamp"].read(_Time) * 1000)
+        groups.append(_name(info["batch_id"] if in_world else entry[f"{key}_sequence"]))
+    return Pair(frames[0], frames[1], times[0], times[1], _offset(entry)), groups[0], groups[1]
+
+
+def _offset(entry: Element) -> Floats:
+    """(2,) m, 0 where the file leaves it empty."""
+    offset = entry.get("system_error_offset")
+    if offset is None or offset.value == "":
+        return np.zeros(2)
+    deltas = [offset[f"delta_{axis}"] for axis in "xy"]
+    return np.array([0.0 if delta.value == "" else delta.read(_Offset) for delta in deltas])
 
 
 def check_differences(path: Path, names: Sequence[str], agent: str, difference_s: Floats, limit_s: float) -> None:
@@ -100,21 +334,12 @@ def _closest(distance: Floats, radius_m: float) -> tuple[Ints, Ints]:
 
 
 _UNSEEN = "-1"  # in place of the name of a side's track
-_REFERENCES = ("veh_track_id", "inf_track_id")
 #: The data sets give neither the size of the car nor the height of its lidar.
 _CAR_SIZE = np.array([4.8, 1.9, 1.6])
 _LIDAR_HEIGHT_M = (1.0, 4.0)  # above the ground; estimated from the boxes nearby, within these limits
 
 
-class LidarPoses(NamedTuple):
-    """Poses of a lidar in the world: position (F, 3) m, rotation (F, 3, 3) active."""
-
-    position: Floats
-    rotation: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
+class Truth(NamedTuple):
     """N boxes, and which agents see them.
 
     seen:  (N, A) whether the data lists the box for the agent
@@ -136,7 +361,7 @@ def add_labels(labels: Labels, frame: int, found: list[Element], pose: tuple[Flo
     position = position if pose is None else to_world(position, *pose)
     for label, middle, (_, size, yaw) in zip(found, position, boxes, strict=True):
         angle = yaw if pose is None else float(heading(pose[1] @ rotation_from_yaw(yaw)))
-        labels.add(frame, track_of(label), middle, size, angle, class_of(label))
+        labels.add(frame, track_of(label), middle, size, angle, CLASS_OF_TYPE.get(type_of(label), 0))
     return position
 
 
@@ -147,7 +372,7 @@ def positions(labels: list[Element], position: Floats, rotation: Floats) -> Floa
 
 
 def read_truth(
-    layout: Layout,
+    layout: DAIRFolder,
     pairs: list[Pair],
     car: LidarPoses,
     pole: LidarPoses,
@@ -165,11 +390,10 @@ def read_truth(
         labels = read_labels(file)
         pose = car.position[frame], car.rotation[frame]
         position = add_labels(cooperative, frame, labels, None if layout.in_world else pose)
-        sides = (
-            _Side(layout.vehicle_labels(pair), *pose, _REFERENCES[0]),
-            _Side(layout.infrastructure_labels(pair), pole.position[frame], pole.rotation[frame], _REFERENCES[1]),
-        )
-        seen.append(np.stack([side.sees(labels, position, match_m) for side in sides], axis=1))
+        own = layout.root / VEHICLE / "label" / "lidar" / f"{pair.vehicle}.json"
+        of_pole = layout.root / INFRASTRUCTURE / "label" / "virtuallidar" / f"{pair.infrastructure}.json"
+        sides = (own, pose, "veh_track_id"), (of_pole, (pole.position[frame], pole.rotation[frame]), "inf_track_id")
+        seen.append(np.stack([_seen(*side, labels, position, match_m) for side in sides], axis=1))
         places += [f"{file}: {label.place}" for label in labels]
     if not places:
         folder = layout.cooperative_labels(pairs[0]).parent
@@ -177,42 +401,31 @@ def read_truth(
     boxes, _ = cooperative.boxes()
     if "" in cooperative.tracks:
         if any(cooperative.tracks) or link_m is None:
-            without = places[cooperative.tracks.index("")]
             raise SceneError(
-                f"{without}: track_id is missing, expected one in every label: without, no "
-                "object can be followed over time. DAIR-V2X-C has none; link_radius_m makes ids by distance, see "
-                "docs/scenes_dair.md"
+                f"{places[cooperative.tracks.index('')]}: track_id is missing, expected one in every label. DAIR-V2X-C "
+                "has none; link_radius_m makes ids by distance, see docs/scenes_dair.md"
             )
         ids = linked(boxes.frame, boxes.position, boxes.class_id.astype(np.int64), times_ns, link_m)
         boxes = replace(boxes, id=ids)
     return Truth(boxes, np.concatenate(seen), np.ones((len(boxes), 2), bool))
 
 
-@dataclass(frozen=True)
-class _Side:
-    """The labels of the car or of the pole in one frame.
+def _seen(
+    path: Path, pose: tuple[Floats, Floats], reference: str, cooperative: list[Element], boxes: Floats, radius_m: float
+) -> Bools:
+    """Which of the cooperative labels (n,), with boxes at (n, 3), the car or the pole sees in a frame.
 
-    path: their file; position, rotation: of the lidar; reference: key of its tracks in cooperative labels
+    path: of its own labels; pose: of its lidar; reference: key of its tracks in cooperative labels
     """
-
-    path: Path
-    position: Floats
-    rotation: Floats
-    reference: str
-
-    def sees(self, cooperative: list[Element], boxes: Floats, radius_m: float) -> Bools:
-        """Which of the cooperative labels (n,), with boxes at (n, 3), this side sees."""
-        labels = read_labels(self.path)
-        references = [label.get(self.reference) for label in cooperative]
-        near = matched(positions(labels, self.position, self.rotation), boxes, radius_m)
-        tracks = {track_of(label) for label in labels}
-        for row, (label, element) in enumerate(zip(cooperative, references, strict=True)):
-            if element is not None:
-                name = track_of(label, self.reference)
-                near[row] = name != _UNSEEN
-                if near[row] and name not in tracks:
-                    element.fail(f"-1, or the track of a label in {self.path}")
-        return near
+    labels = read_labels(path)
+    near = matched(positions(labels, *pose), boxes, radius_m)
+    tracks = {track_of(label) for label in labels}
+    for row, label in enumerate(cooperative):
+        if name := track_of(label, reference):
+            near[row] = name != _UNSEEN
+            if near[row] and name not in tracks:
+                label[reference].fail(f"-1, or the track of a label in {path}")
+    return near
 
 
 def with_car(truth: Truth, car: LidarPoses) -> tuple[Truth, int]:
@@ -252,18 +465,10 @@ def _lidar_height(boxes: SceneBoxes, position: Floats) -> float:
 
 
 _ORIGIN = np.zeros(3)
-_CAR_LIDAR = LidarSensor(
-    mount_position=_ORIGIN, elevation_min_deg=-25.0, elevation_max_deg=15.0, channels=40, max_range_m=200.0
-)
-_POLE_LIDAR = LidarSensor(
-    mount_position=_ORIGIN,
-    azimuth_min_deg=-50.0,
-    azimuth_max_deg=50.0,
-    elevation_min_deg=-30.0,
-    elevation_max_deg=10.0,
-    channels=300,
-    max_range_m=200.0,
-)
+_LIDAR = LidarSensor(mount_position=_ORIGIN, max_range_m=200.0)
+_CAR_LIDAR = replace(_LIDAR, elevation_min_deg=-25.0, elevation_max_deg=15.0, channels=40)
+_POLE_LIDAR = replace(_LIDAR, azimuth_min_deg=-50.0, azimuth_max_deg=50.0, elevation_min_deg=-30.0)
+_POLE_LIDAR = replace(_POLE_LIDAR, elevation_max_deg=10.0, channels=300)
 _CAMERA = Camera(mount_position=_ORIGIN)
 
 
@@ -329,29 +534,27 @@ class DAIRScene(DataSetScene):
         layout = open_layout(self.inputs()[0])
         pairs = self._pairs(layout)
         times, _ = clocks(pairs)
-        car, pole = _poses(layout, pairs)
+        car, pole = layout.poses(pairs)
         truth = read_truth(layout, pairs, car, pole, times, self.match_radius_m, self.link_radius_m)
         truth, object_id = with_car(truth, car)
         measured_ns = np.array([pair.infrastructure_time_ns for pair in pairs], np.int64)
         ego = SceneAgent("ego", "mobile", object_id, _CAR_LIDAR, _CAMERA)
         infra = SceneAgent("infra_1", "static", -1, _POLE_LIDAR, _CAMERA)
-        paths = [
-            AgentPath(ego, *car),
-            AgentPath(infra, *pole, velocity=np.zeros_like(pole.position), measured_ns=measured_ns),
-        ]
-        seen = []
-        for path, listed, known in zip(
-            paths[: 1 + (self.n_infrastructure != 0)], truth.seen.T, truth.known.T, strict=False
-        ):
-            seen.append(replace(path, points=listed_returns(truth.boxes, path, listed, ~known, frames)))
+        standing = AgentPath(infra, *pole, velocity=np.zeros_like(pole.position), measured_ns=measured_ns)
+        paths = [AgentPath(ego, *car), standing]
+        seen = [
+            replace(path, points=listed_returns(truth.boxes, path, listed, ~known, frames))
+            for path, listed, known in zip(paths, truth.seen.T, truth.known.T, strict=True)
+        ][: 1 + (self.n_infrastructure != 0)]
         name = f"{layout.root.name} {self._chosen() or ''}".strip()
         return assemble(name, times, truth.boxes, seen, self.detector, seed=seed, frames=frames)
 
-    def _pairs(self, layout: Layout) -> list[Pair]:
+    def _pairs(self, layout: DAIRFolder) -> list[Pair]:
         """The pairs of the requested frames, with times checked."""
         first, last = self.first_frame or 0, math.inf if self.last_frame is None else self.last_frame
         pairs = read_pairs(layout, self._chosen())
-        chosen = [pair for pair in pairs if first <= frame_number(pair.vehicle) <= last]
+        # The number in the name of a frame, such as 123 for 000123.
+        chosen = [pair for pair in pairs if first <= int("0" + re.sub(r"[^0-9]", "", pair.vehicle)) <= last]
         if not chosen:
             raise ConfigurationError(
                 f"{layout.root}: first_frame {self.first_frame} to last_frame {self.last_frame}: found no frame, "
@@ -362,10 +565,3 @@ class DAIRScene(DataSetScene):
         check_times(layout.clocks(VEHICLE), names, times, self.max_gap_s, "max_gap_s")
         check_differences(layout.clocks(INFRASTRUCTURE), names, "infra_1", difference, self.max_time_difference_s)
         return chosen
-
-
-def _poses(layout: Layout, pairs: list[Pair]) -> tuple[LidarPoses, LidarPoses]:
-    """Poses of the lidars of the car and of the pole."""
-    car = [layout.vehicle_pose(pair) for pair in pairs]
-    pole = [layout.infrastructure_pose(pair, rotation) for pair, (_, rotation) in zip(pairs, car, strict=True)]
-    return LidarPoses(*map(np.array, zip(*car, strict=True))), LidarPoses(*map(np.array, zip(*pole, strict=True)))

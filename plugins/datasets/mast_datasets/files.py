@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import math
 import re
@@ -29,7 +30,9 @@ _MAX_NAMES = 20  # in a message
 _GZIP = b"\x1f\x8b"
 
 
-def read_pieces(path: Path, max_bytes: int = MAX_FILE_BYTES) -> Iterator[bytes]:
+def read_pieces(
+    path: Path, max_bytes: int = MAX_FILE_BYTES, read: Callable[[IO[bytes]], bytes] = lambda file: file.read(_PIECE)
+) -> Iterator[bytes]:
     """The content of a file, unpacked if it is compressed by gzip.
 
     Raises SceneError if it cannot be read, or as soon as it exceeds `max_bytes`.
@@ -37,7 +40,7 @@ def read_pieces(path: Path, max_bytes: int = MAX_FILE_BYTES) -> Iterator[bytes]:
     total = 0
     try:
         with _opened(path) as file:
-            while piece := file.read(_PIECE):
+            while piece := read(file):
                 total += len(piece)
                 if total > max_bytes:
                     raise SceneError(f"{path}: found more than {max_bytes} bytes unpacked, expected at most as many")
@@ -51,25 +54,13 @@ def read_lines(path: Path, max_bytes: int = MAX_FILE_BYTES) -> Iterator[str]:
 
     Raises SceneError if it cannot be read, is too large, has a line that is too long, or is not UTF-8.
     """
-    number, rest = 1, b""
-    for piece in read_pieces(path, max_bytes):
-        *lines, rest = (rest + piece).split(b"\n")
-        for line in lines:
-            yield _decoded(line, path, number)
-            number += 1
-        if len(rest) > MAX_LINE:
-            _decoded(rest, path, number)
-    if rest:
-        yield _decoded(rest, path, number)
-
-
-def _decoded(line: bytes, path: Path, number: int) -> str:
-    if len(line) > MAX_LINE:
-        raise SceneError(f"{path}: line {number}: found {len(line)} bytes, expected at most {MAX_LINE}")
-    try:
-        return line.rstrip(b"\r").decode("utf-8-sig" if number == 1 else "utf-8")
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{path}: line {number}: {error}") from error
+    for number, line in enumerate(read_pieces(path, max_bytes, lambda file: file.readline(MAX_LINE + 2)), start=1):
+        if len(line) > MAX_LINE + 1:
+            raise SceneError(f"{path}: line {number}: found more than {MAX_LINE} bytes, expected at most as many")
+        try:
+            yield line.rstrip(b"\r\n").decode("utf-8-sig" if number == 1 else "utf-8")
+        except UnicodeDecodeError as error:
+            raise SceneError(f"{path}: line {number}: {error}") from error
 
 
 def entries(folder: Path) -> list[Path]:
@@ -236,39 +227,25 @@ def read_json(path: Path) -> Element:
         raise SceneError(f"{path}: not JSON: {error}") from error
 
 
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?", re.ASCII)
-_INTEGER = re.compile(r"[+-]?\d{1,19}", re.ASCII)
-
-
 class TextElement(Element):
-    """A value that its file holds as text, with decimal numbers such as "-1.5e3".
-
-    Space around a number is ignored; "nan", "inf" and digits of other scripts are not numbers.
-    """
+    """A value that its file holds as text, with numbers as Python writes them; space around them is ignored."""
 
     value: str
 
-    def number(self, low: float = -math.inf, high: float = math.inf) -> float:
-        """A finite number from `low` to `high`."""
-        number = float(self.value) if _NUMBER.fullmatch(self.value.strip()) else math.nan
-        return number if low <= number <= high and math.isfinite(number) else self.fail(_expected("finite", low, high))
+    def number(self, low: float, high: float, kind: Callable[[str], float] = float) -> float:
+        """A number from `low` to `high`, both finite."""
+        with contextlib.suppress(ValueError):
+            if low <= (number := kind(self.value)) <= high:
+                return number
+        return self.fail(f"a {'whole' if kind is int else 'finite'} number from {low:g} to {high:g}")
 
     def positive(self, high: float) -> float:
         """A number above 0, at most `high`."""
         return self.number(0.0, high) or self.fail("a size above 0")
 
-    def integer(self, low: int = -(2**63), high: int = 2**63 - 1) -> int:
+    def integer(self, low: int = 0, high: int = 2**63 - 1) -> int:
         """A whole number from `low` to `high`."""
-        number = int(self.value) if _INTEGER.fullmatch(self.value.strip()) else None
-        return number if number is not None and low <= number <= high else self.fail(_expected("whole", low, high))
-
-
-def _expected(kind: str, low: float, high: float) -> str:
-    if abs(low) == abs(high) == math.inf or (low == -(2**63) and high == 2**63 - 1):
-        return f"a {kind} number"
-    if math.isinf(high) or high == 2**63 - 1:
-        return f"a {kind} number, {low:g} or more"
-    return f"a {kind} number from {low:g} to {high:g}"
+        return int(self.number(low, high, int))
 
 
 _LAST = np.array([0.0, 0.0, 0.0, 1.0])
@@ -300,7 +277,6 @@ _MAX_DEPTH = 32  # libyaml has no limit, and a process ends if its stack is full
 _MAX_VALUES = 1_000_000  # of one file; PyYAML needs up to 700 bytes for each
 _MAX_NUMBERS = 64  # of an array
 _TYPES = {"f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "b1"}
-_ORDERS = {"<": "<", "=": "<", "|": "<", ">": ">"}  # written on machines that are little-endian
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]  # the C library is optional
@@ -353,7 +329,7 @@ def _dtype(code: str, align: Any, copy: Any, version: Any = 3, order: str = "<",
     """The type of an array's numbers."""
     if code not in _TYPES:
         raise ValueError(f"numbers of type {code!s:.20}, expected one of {', '.join(sorted(_TYPES))}")
-    return np.dtype(_ORDERS[order] + code)
+    return np.dtype("<" + code if order in "=|" else order + code)  # written on machines that are little-endian
 
 
 def _numbers(dtype: Any, data: bytes, count: int = 1) -> Any:
@@ -384,12 +360,10 @@ _CONSTRUCTORS: dict[str | None, Callable[..., Any]] = {
     _YAML + "python/tuple": _Loader.elements,
     _YAML + "python/name:numpy.ndarray": lambda loader, node: None,
     _APPLY + "dtype": _numpy(_dtype),
-    **{
-        _APPLY + f"{core}.multiarray.scalar": _numpy(lambda *parts: _numbers(*parts).item())
-        for core in ("core", "_core")
-    },
-    **{_APPLY + f"{core}.multiarray._reconstruct": _numpy(_array) for core in ("core", "_core")},
 }
+for _core in ("core.multiarray.", "_core.multiarray."):
+    _CONSTRUCTORS[_APPLY + _core + "scalar"] = _numpy(lambda *parts: _numbers(*parts).item())
+    _CONSTRUCTORS[_APPLY + _core + "_reconstruct"] = _numpy(_array)
 for _tag, _construct in _CONSTRUCTORS.items():
     _Loader.add_constructor(_tag, _construct)
 _Loader.add_implicit_resolver(_YAML + "null", re.compile(r"(~|null|Null|NULL|)\Z"), ["", *"~nN"])

@@ -8,13 +8,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from mast_datasets.files import TextElement, choose_name, orthonormal, read_lines
-from mast_datasets.traffic import TrafficScene, classes_of, listed_returns
+from mast_datasets.files import Element, TextElement, choose_name, orthonormal, read_lines
+from mast_datasets.traffic import TrafficScene, boxes_of, classes_of, listed_returns
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -24,8 +25,6 @@ from mast_zenoh.sensing import Camera, LidarSensor
 
 #: Limit on a file, bytes, and on a calibration.
 _MAX_BYTES, _MAX_CALIBRATION_BYTES = 100_000_000, 1_000_000
-_MAX_COORDINATE_M = 1e5
-_MAX_SIZE_M = 100.0
 _EARTH_RADIUS_M = 6378137.0
 _OXTS_COLUMNS = 30
 #: Largest numbers of the first columns.
@@ -63,41 +62,47 @@ class CameraLabels(NamedTuple):
     occluded: Ints
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(NamedTuple):
     """Rotation (3, 3) and position (3,) m of the rectified camera and of the lidar in the frame of the IMU."""
 
     camera: tuple[Floats, Floats]
     lidar: tuple[Floats, Floats]
 
 
+_Place = Annotated[float, Meta(ge=-1e5, le=1e5)]  # m
+_Side = Annotated[float, Meta(gt=0, le=100)]  # m
+
+
+class _Label(Struct):
+    frame: Annotated[int, Meta(ge=0)]
+    track: Annotated[int, Meta(ge=0, le=10**9)]
+    type: Literal[tuple(CLASS_OF_TYPE)]  # type: ignore[valid-type]  # they are known when it runs
+    occluded: Annotated[int, Meta(ge=-1, le=3)]
+    height: _Side
+    width: _Side
+    length: _Side
+    x: _Place
+    y: _Place
+    z: _Place
+    rotation_y: Annotated[float, Meta(ge=-1e3, le=1e3)]
+
+
 def read_labels(path: Path, frames: int) -> CameraLabels:
     """The labels of a sequence with so many frames, without regions that are not annotated (DontCare)."""
-    rows: list[tuple[float, ...]] = []
-    seen: set[tuple[int, int]] = set()
+    rows: dict[tuple[int, int], _Label] = {}
     for number, fields in _rows(path):
         if len(fields) not in (len(_COLUMNS), len(_COLUMNS) + 1):
-            raise SceneError(
-                f"{path}: line {number}: found {len(fields)} values, expected {len(_COLUMNS)}, or one more: a score"
-            )
-        named = zip(_COLUMNS, fields, strict=False)
-        row = {name: TextElement(text, path, f"line {number}: {name}") for name, text in named}
-        frame = row["frame"].integer(0, frames - 1)
-        kind = row["type"].text((*CLASS_OF_TYPE, _NO_OBJECT))
-        if kind == _NO_OBJECT:
-            continue
-        track = row["track"].integer(0, 10**9)
-        if (frame, track) in seen:
-            row["track"].fail(f"every track once in frame {frame}")
-        seen.add((frame, track))
-        sizes = [row[name].positive(_MAX_SIZE_M) for name in ("length", "width", "height")]
-        place = [row[name].number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M) for name in ("x", "y", "z")]
-        occluded = row["occluded"].integer(-1, 3)
-        rows.append((frame, track, CLASS_OF_TYPE[kind], occluded, *sizes, *place, row["rotation_y"].number(-1e3, 1e3)))
-    table = np.array(rows, np.float64).reshape(-1, 11)
-    frame, track, class_id, occluded = table[:, :4].astype(np.int64).T
-    boxes = SceneBoxes(frame, track, table[:, 7:10], table[:, 4:7], table[:, 10], class_id.astype(np.uint8))
-    return CameraLabels(boxes, occluded)
+            expected = f"expected {len(_COLUMNS)}, or one more: a score"
+            raise SceneError(f"{path}: line {number}: found {len(fields)} values, {expected}")
+        if fields[2] != _NO_OBJECT:
+            row: _Label = Element(dict(zip(_COLUMNS, fields, strict=False)), path, f"line {number}").read(_Label)
+            if row.frame >= frames or rows.setdefault((row.frame, row.track), row) is not row:
+                Element(row.frame, path, f"line {number}: frame").fail(f"0 to {frames - 1}, and every track once in it")
+    boxes = []
+    for each in rows.values():
+        place, size = (each.x, each.y, each.z), (each.length, each.width, each.height)
+        boxes.append((each.frame, each.track, place, size, each.rotation_y, CLASS_OF_TYPE[each.type]))
+    return CameraLabels(boxes_of(boxes), np.array([each.occluded for each in rows.values()], np.int64))
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -148,9 +153,8 @@ def read_poses(path: Path) -> tuple[Floats, Floats]:
         raise SceneError(f"{path}: found no line, expected one for each frame")
     latitude, longitude, altitude, roll, pitch, yaw = np.array(rows).T
     scale = np.cos(np.radians(latitude[0])) * _EARTH_RADIUS_M
-    position = np.stack(
-        [scale * np.radians(longitude), scale * np.log(np.tan(np.radians(90.0 + latitude) / 2)), altitude], axis=1
-    )
+    north = scale * np.log(np.tan(np.radians(90.0 + latitude) / 2))
+    position = np.stack([scale * np.radians(longitude), north, altitude], axis=1)
     return position - position[0], _rotations(roll, pitch, yaw)
 
 
@@ -208,11 +212,10 @@ class KittiTracking(TrafficScene):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.first_frame < 0 or (self.last_frame is not None and self.last_frame < self.first_frame):
-            raise ConfigurationError(
-                f"KittiTracking: first_frame, last_frame are {self.first_frame}, {self.last_frame}, "
-                "expected 0 or more, ascending"
-            )
+        first, last = self.first_frame, self.last_frame
+        if first < 0 or (last is not None and last < first):
+            expected = "expected 0 or more, ascending"
+            raise ConfigurationError(f"KittiTracking: first_frame, last_frame are {first}, {last}, {expected}")
 
     def inputs(self) -> Sequence[Path]:
         """The folders of labels, calibrations and positions."""
@@ -230,7 +233,9 @@ class KittiTracking(TrafficScene):
         rotation = rotation[window]
         boxes, occluded = _boxes(labels, calibration, position, rotation, window, ground)
         camera = Camera(mount_position=calibration.camera[1])
-        agent = SceneAgent("ego", "mobile", 0, _lidar(calibration), camera)
+        turn, mount = calibration.lidar
+        lidar = replace(_EGO_LIDAR, mount_position=mount, mount_rotation=turn)
+        agent = SceneAgent("ego", "mobile", 0, lidar, camera)
         ego = AgentPath(agent, position, rotation, ground=position[:, 2] + ground)
         visible = (occluded >= 0) & (occluded <= _MAX_OCCLUSION)
         ego = replace(ego, points=listed_returns(boxes, ego, visible, ~visible, frames))
@@ -247,17 +252,10 @@ class KittiTracking(TrafficScene):
         return [self.root / kind / f"{sequence}.txt" for kind in _FILES]
 
     def _window(self, frames: int, file: Path) -> slice:
-        last = frames - 1 if self.last_frame is None else self.last_frame
-        if last >= frames or self.first_frame >= frames:
-            raise ConfigurationError(
-                f"{file}: first_frame, last_frame are {self.first_frame}, {last}, expected 0 to {frames - 1}"
-            )
-        return slice(self.first_frame, last + 1)
-
-
-def _lidar(calibration: Calibration) -> LidarSensor:
-    rotation, position = calibration.lidar
-    return replace(_EGO_LIDAR, mount_position=position, mount_rotation=rotation)
+        first, last = self.first_frame, frames - 1 if self.last_frame is None else self.last_frame
+        if max(first, last) >= frames:
+            raise ConfigurationError(f"{file}: first_frame, last_frame are {first}, {last}, expected 0 to {frames - 1}")
+        return slice(first, last + 1)
 
 
 def _boxes(

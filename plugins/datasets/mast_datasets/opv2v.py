@@ -2,36 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_datasets import opv2v_files as layout
 from mast_datasets.files import read_yaml
-from mast_datasets.opv2v_files import (
-    MULTI_V2X,
-    OPV2V,
-    V2V4REAL,
-    V2X_REAL,
-    AgentFolder,
-    Poses,
-    Variant,
-    check_frames,
-    choose_frames,
-    file_of_frame,
-    find_scenario,
-    joined_poses,
-    map_files,
-    read_labels,
-    read_pose,
-    read_visible,
-)
+from mast_datasets.opv2v_files import AgentFolder, Poses, Variant
 from mast_datasets.traffic import DataSetScene, listed_returns
-from mast_zenoh.arrays.geometry import heading
+from mast_zenoh.arrays.geometry import heading, rotation_from_yaw
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
@@ -59,7 +44,7 @@ class Listed:
     @classmethod
     def of(cls, labels: Sequence[Sequence[tuple[SceneBoxes, Ints]]]) -> Listed:
         """The objects in the files of each agent, for each frame."""
-        boxes, associated = zip(*(part for frame in labels for part in frame), strict=True)
+        boxes, associated = zip(*itertools.chain.from_iterable(labels), strict=True)
         agent = np.arange(len(boxes)) % len(labels[0])
         return cls(np.repeat(agent, [*map(len, boxes)]), np.concatenate(associated), SceneBoxes.concatenate(boxes))
 
@@ -76,9 +61,7 @@ class Listed:
         """
         frame, number, position = self.boxes.frame, self.boxes.id, self.boxes.position
         order = np.lexsort((self.agent, number, frame))
-        key = np.stack([frame[order], number[order]], axis=1)
-        first = np.ones(len(order), np.bool_)
-        first[1:] = (np.diff(key, axis=0) != 0).any(axis=1)
+        first = _begins(frame[order], number[order])
         group = np.cumsum(first) - 1
         repeated = ~first[1:] & (np.diff(self.agent[order]) == 0)
         if repeated.any():
@@ -89,16 +72,20 @@ class Listed:
         apart = np.linalg.norm(position[order] - position[chosen][group], axis=1)
         if (apart > limit_m).any():
             worst = int(apart.argmax())
-            row, other = order[worst], chosen[group[worst]]
+            rows = order[worst], chosen[group[worst]]
+            file, other = (file_of(int(frame[row]), int(self.agent[row])) for row in rows)
             raise SceneError(
-                f"{file_of(int(frame[row]), int(self.agent[row]))}: object {number[row]} is {apart[worst]:.2f} m "
-                f"from where agent {file_of(int(frame[other]), int(self.agent[other])).parent.name} lists it, "
-                f"expected at most {limit_m:g} m"
+                f"{file}: object {number[rows[0]]} is {apart[worst]:.2f} m from where agent {other.parent.name} lists "
+                f"it, expected at most {limit_m:g} m"
             )
-        agents = int(self.agent.max(initial=-1)) + 1
-        seen = np.zeros((len(chosen), agents), np.bool_)
+        seen = np.zeros((len(chosen), int(self.agent.max(initial=-1)) + 1), np.bool_)
         seen[group, self.agent[order]] = True
         return self.boxes.select(chosen), seen
+
+
+def _begins(*columns: Ints) -> Bools:
+    """(n,) where a row of columns (n,) differs from the one before."""
+    return np.append(True, np.any([np.diff(column) != 0 for column in columns], axis=0))[: len(columns[0])]
 
 
 def check_ids_last(boxes: SceneBoxes, times_ns: Ints, file_of: Callable[[int], Path]) -> None:
@@ -110,13 +97,11 @@ def check_ids_last(boxes: SceneBoxes, times_ns: Ints, file_of: Callable[[int], P
     same = np.diff(boxes.id[order]) == 0
     step = np.linalg.norm(np.diff(boxes.position[order], axis=0), axis=1)
     limit = _MAX_STEP_M + _MAX_SPEED_M_S * np.diff(times_ns[boxes.frame[order]]) / 1e9
-    jumps = np.flatnonzero(same & (step > limit))
-    if len(jumps):
-        before, after = order[jumps[0]], order[jumps[0] + 1]
+    for jump in np.flatnonzero(same & (step > limit)):
+        before, after = (file_of(int(boxes.frame[row])) for row in order[jump : jump + 2])
         raise SceneError(
-            f"{file_of(int(boxes.frame[after]))}: object {boxes.id[after]} is {step[jumps[0]]:.1f} m from where it was "
-            f"in {file_of(int(boxes.frame[before])).name}, expected at most {limit[jumps[0]]:.1f} m: "
-            "an id must be that of one object"
+            f"{after}: object {boxes.id[order[jump]]} is {step[jump]:.1f} m from where it was in {before.name}, "
+            f"expected at most {limit[jump]:.1f} m: an id must be that of one object"
         )
 
 
@@ -147,8 +132,7 @@ _MIN_LENGTH_M = 2.5  # of a car
 _CARS = [CLASS_INDEX[name] for name in ("unknown", "car", "truck", "bus")]
 
 
-@dataclass(frozen=True, eq=False)
-class OwnCar:
+class OwnCar(NamedTuple):
     """A car that is an agent.
 
     number: of the agent;  position (F, 3) m and rotation (F, 3, 3) of the agent;  object_id: of its boxes
@@ -160,16 +144,22 @@ class OwnCar:
     object_id: int
 
 
+def own_cars(agents: Sequence[AgentFolder], poses: Poses) -> dict[int, OwnCar]:
+    """The cars among the agents, by column, with their numbers as ids."""
+    columns = [column for column, agent in enumerate(agents) if not agent.is_pole]
+    places = {column: (poses.position[:, column], poses.rotation[:, column]) for column in columns}
+    return {column: OwnCar(agents[column].number, *place, agents[column].number) for column, place in places.items()}
+
+
 def check_numbers(listed: Listed, cars: Sequence[OwnCar], file_of: FileOf) -> None:
     """Raise SceneError for a box with an agent's number that is not where the agent is."""
     for car in cars:
-        wrong = np.flatnonzero((listed.boxes.id == car.number) & (_distance(listed, car) > _MAX_DISTANCE_M))
-        if len(wrong):
-            row = int(wrong[0])
+        distance = _distance(listed, car)
+        for row in np.flatnonzero((listed.boxes.id == car.number) & (distance > _MAX_DISTANCE_M)):
+            file = file_of(int(listed.boxes.frame[row]), int(listed.agent[row]))
+            expected = f"expected at most {_MAX_DISTANCE_M:g} m: it is the same car"
             raise SceneError(
-                f"{file_of(int(listed.boxes.frame[row]), int(listed.agent[row]))}: object {car.number} is "
-                f"{_distance(listed, car)[row]:.2f} m from agent {car.number}, "
-                f"expected at most {_MAX_DISTANCE_M:g} m: it is the same car"
+                f"{file}: object {car.number} is {distance[row]:.2f} m from agent {car.number}, {expected}"
             )
 
 
@@ -186,12 +176,10 @@ def claim(listed: Listed, cars: Sequence[OwnCar]) -> tuple[Listed, list[OwnCar]]
         mine, count = np.unique(ids[rows], return_counts=True)
         complete = np.array([number for number in mine if (ids == number).sum() == count[mine == number][0]], np.int64)
         taken = {other.object_id for other in claimed}
+        is_free = car.number not in taken and car.number not in ids
+        chosen = car.number if is_free else max(int(ids.max(initial=0)), *taken, 0) + 1
         if len(complete):
             chosen = int(complete[np.argmax(count[np.isin(mine, complete)])])
-        elif car.number not in taken and car.number not in ids:
-            chosen = car.number
-        else:
-            chosen = max(int(ids.max(initial=0)), *taken, 0) + 1
         ids[rows] = chosen
         claimed.append(OwnCar(car.number, car.position, car.rotation, chosen))
     return listed.with_id(ids), claimed
@@ -210,31 +198,18 @@ def missing_boxes(boxes: SceneBoxes, car: OwnCar, variant: Variant) -> SceneBoxe
         offset = boxes.position[own] - car.position[boxes.frame[own]]
         centre = np.einsum("nji,nj->ni", rotation, offset).mean(axis=0)
         size, class_id = np.median(boxes.size[own], axis=0), int(np.bincount(boxes.class_id[own]).argmax())
-    position = car.position[frames] + _upright(car.rotation[frames]) @ centre
-    return SceneBoxes(
-        frame=frames.astype(np.int64),
-        id=np.full(len(frames), car.object_id, np.int64),
-        position=position,
-        size=np.tile(size, (len(frames), 1)),
-        yaw=heading(car.rotation[frames]),
-        class_id=np.full(len(frames), class_id, np.uint8),
-    )
+    position, yaw = car.position[frames] + _upright(car.rotation[frames]) @ centre, heading(car.rotation[frames])
+    return replace(SceneBoxes.throughout(car.object_id, position, size, yaw, class_id), frame=frames.astype(np.int64))
 
 
 def _upright(rotation: Floats) -> Floats:
     """(n, 3, 3) rotations with the same heading as those of lidars, which may be tilted on their cars."""
-    upright = np.tile(np.eye(3), (len(rotation), 1, 1))
-    yaw = heading(rotation)
-    upright[:, 0, 0] = upright[:, 1, 1] = np.cos(yaw)
-    upright[:, 1, 0], upright[:, 0, 1] = np.sin(yaw), -np.sin(yaw)
-    return upright
+    return np.array([rotation_from_yaw(float(yaw)) for yaw in heading(rotation)]).reshape(-1, 3, 3)
 
 
 def _distance(listed: Listed, car: OwnCar) -> Floats:
     """(N,) m on the ground from the agent to each box."""
-    offset = listed.boxes.position[:, :2] - car.position[listed.boxes.frame, :2]
-    distance: Floats = np.hypot(offset[:, 0], offset[:, 1])
-    return distance
+    return np.asarray(np.hypot(*(listed.boxes.position[:, :2] - car.position[listed.boxes.frame, :2]).T))
 
 
 def _nearest(listed: Listed, distance: Floats) -> Ints:
@@ -242,9 +217,7 @@ def _nearest(listed: Listed, distance: Floats) -> Ints:
     near: Bools = (distance <= _MAX_DISTANCE_M) & (listed.boxes.size[:, 0] >= _MIN_LENGTH_M)
     rows = np.flatnonzero(near & np.isin(listed.boxes.class_id, _CARS))
     rows = rows[np.lexsort((distance[rows], listed.agent[rows], listed.boxes.frame[rows]))]
-    first = np.ones(len(rows), np.bool_)
-    first[1:] = (np.diff(listed.boxes.frame[rows]) != 0) | (np.diff(listed.agent[rows]) != 0)
-    return rows[first]
+    return rows[_begins(listed.boxes.frame[rows], listed.agent[rows])]
 
 
 _MAX_MOUNT_ERROR_M = 0.5  # between a lidar's place on its car in two frames
@@ -255,8 +228,7 @@ _CAMERA_BELOW_LIDAR_M = 0.2
 PointsOf = Callable[[int, AgentPath, int | None], NDArray[np.int32] | None]
 
 
-@dataclass(frozen=True, eq=False)
-class Playing:
+class Playing(NamedTuple):
     """What is played of a scenario.
 
     agents: of the scenario;  columns: of those that play, the ego first, then other cars, then poles
@@ -328,9 +300,9 @@ class ScenarioFolder(DataSetScene):
         """
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        folder, agents = find_scenario(self.root)
+        folder, agents = layout.find_scenario(self.root)
         agents = self._ego_first(folder, agents)
-        numbers = choose_frames(agents[0], self.first_frame, self.last_frame)
+        numbers = layout.choose_frames(agents[0], self.first_frame, self.last_frame)
         playing, points_of = self._read(folder, agents, numbers)
         times = np.round(np.arange(len(numbers)) * 1e9 / self.rate_hz).astype(np.int64)
         check_ids_last(playing.boxes, times, lambda frame: agents[0].file(numbers[frame]))
@@ -342,13 +314,13 @@ class ScenarioFolder(DataSetScene):
 
     def _ego_first(self, folder: Path, agents: list[AgentFolder]) -> list[AgentFolder]:
         """The ego, then the other cars, then the poles."""
-        cars = [agent for agent in agents if not agent.is_pole]
+        cars = {agent.number: agent for agent in agents if not agent.is_pole}
         if not cars:
             raise SceneError(f"{folder}: all {len(agents)} agents are infrastructure, expected at least one car")
-        if self.ego is not None and self.ego not in [car.number for car in cars]:
-            known = ", ".join(str(car.number) for car in cars[:20])
+        if self.ego is not None and self.ego not in cars:
+            known = ", ".join(map(str, list(cars)[:20]))
             raise ConfigurationError(f"{folder}: ego is {self.ego}, expected the number of a car: {known}")
-        chosen = cars[0] if self.ego is None else next(car for car in cars if car.number == self.ego)
+        chosen = cars[next(iter(cars)) if self.ego is None else self.ego]
         return [chosen, *(agent for agent in agents if agent is not chosen)]
 
     def _playing(self, agents: Sequence[AgentFolder]) -> list[int]:
@@ -371,18 +343,19 @@ class OPV2VScene(ScenarioFolder):
     short_name = "opv2v"
     files: ClassVar[tuple[tuple[str, ...], ...]] = (("data_protocol.yaml", "*/*.yaml", "!map/*.yaml"),)
 
-    variant = OPV2V
+    variant = layout.OPV2V
 
     def _read(self, folder: Path, agents: list[AgentFolder], numbers: Sequence[int]) -> tuple[Playing, PointsOf]:
-        check_frames(agents, numbers)
+        layout.check_frames(agents, numbers)
         columns, variant = self._playing(agents), self._variant()
         labels, rows = [], []
         for frame, number in enumerate(numbers):
             contents = [read_yaml(agent.file(number)) for agent in agents]
-            now = [read_pose(each, variant, agent.is_pole) for each, agent in zip(contents, agents, strict=True)]
-            labels.append([read_labels(each, variant, pose, frame) for each, pose in zip(contents, now, strict=True)])
+            now = [layout.read_pose(each, variant, agent.is_pole) for each, agent in zip(contents, agents, strict=True)]
+            places = zip(contents, now, strict=True)
+            labels.append([layout.read_labels(each, variant, pose, frame) for each, pose in places])
             rows.append(now)
-        poses = joined_poses(rows)
+        poses = layout.joined_poses(rows)
         boxes, seen, cars = self._traffic(agents, numbers, poses, Listed.of(labels))
 
         def points_of(column: int, path: AgentPath, frames: int | None) -> NDArray[np.int32]:
@@ -399,8 +372,8 @@ class OPV2VScene(ScenarioFolder):
         def file_of(frame: int, column: int) -> Path:
             return agents[column].file(numbers[frame])
 
-        columns = [column for column, agent in enumerate(agents) if not agent.is_pole]
-        own = [OwnCar(agents[k].number, poses.position[:, k], poses.rotation[:, k], agents[k].number) for k in columns]
+        cars = own_cars(agents, poses)
+        own = list(cars.values())
         if variant.associated:
             listed = listed.with_id(shared_ids(listed))
         if variant.body is not None:
@@ -411,7 +384,7 @@ class OPV2VScene(ScenarioFolder):
         added = [missing_boxes(boxes, car, variant) for car in own]
         seen = np.zeros((len(boxes) + sum(map(len, added)), len(agents)), np.bool_)
         seen[: len(by_agent), : by_agent.shape[1]] = by_agent
-        return SceneBoxes.concatenate([boxes, *added]), seen, dict(zip(columns, own, strict=True))
+        return SceneBoxes.concatenate([boxes, *added]), seen, dict(zip(cars, own, strict=True))
 
 
 @dataclass(kw_only=True, eq=False)
@@ -428,7 +401,7 @@ class V2XRealScene(OPV2VScene):
     short_name = "v2xreal"
     files = (("-[0-9]*/*.yaml", "!data_protocol.yaml"),)
 
-    variant = V2X_REAL
+    variant = layout.V2X_REAL
 
     left_handed: bool = True
 
@@ -446,7 +419,7 @@ class V2V4RealScene(OPV2VScene):
     short_name = "v2v4real"
     files = (("0/*.yaml", "1/*.yaml", "!data_protocol.yaml", "!-[0-9]*/*.yaml"),)
 
-    variant = V2V4REAL
+    variant = layout.V2V4REAL
 
 
 class MultiV2XScene(ScenarioFolder):
@@ -463,18 +436,14 @@ class MultiV2XScene(ScenarioFolder):
     short_name = "multiv2x"
     files = (("map/*.yaml",),)
 
-    variant = MULTI_V2X
+    variant = layout.MULTI_V2X
 
     def _read(self, folder: Path, agents: list[AgentFolder], numbers: Sequence[int]) -> tuple[Playing, PointsOf]:
         agents = self._nearest_first([agent for agent in agents if agent.covers(numbers)], numbers[0])
         agents = [agents[column] for column in self._playing(agents)]
-        check_frames(agents, numbers)
-        poses = joined_poses([[self._pose(agent, number) for agent in agents] for number in numbers])
-        cars = {
-            column: OwnCar(agent.number, poses.position[:, column], poses.rotation[:, column], agent.number)
-            for column, agent in enumerate(agents)
-            if not agent.is_pole
-        }
+        layout.check_frames(agents, numbers)
+        poses = layout.joined_poses([[self._pose(agent, number) for agent in agents] for number in numbers])
+        cars = own_cars(agents, poses)
         boxes = self._boxes(folder, numbers, list(cars.values()))
 
         def points_of(column: int, path: AgentPath, _: int | None) -> NDArray[np.int32] | None:
@@ -483,7 +452,7 @@ class MultiV2XScene(ScenarioFolder):
         return Playing(agents, range(len(agents)), numbers, poses, boxes, cars), points_of
 
     def _pose(self, agent: AgentFolder, number: int) -> Poses:
-        return read_pose(read_yaml(agent.file(number)), self.variant, agent.is_pole)
+        return layout.read_pose(read_yaml(agent.file(number)), self.variant, agent.is_pole)
 
     def _nearest_first(self, agents: Sequence[AgentFolder], number: int) -> list[AgentFolder]:
         """The agents by their distance from the first one in a frame."""
@@ -493,13 +462,15 @@ class MultiV2XScene(ScenarioFolder):
 
     def _boxes(self, folder: Path, numbers: Sequence[int], cars: Sequence[OwnCar]) -> SceneBoxes:
         """All objects of the map in the frames, and the agents' own cars where it lacks them."""
-        files = map_files(folder)
+        files = layout.map_files(folder)
 
         def file_of(frame: int, _: int) -> Path:
-            return file_of_frame(folder / "map", files, numbers[frame])
+            return layout.file_of_frame(folder / "map", files, numbers[frame])
 
         frames = range(len(numbers))
-        listed = Listed.of([[read_labels(read_yaml(file_of(frame, 0)), self.variant, None, frame)] for frame in frames])
+        listed = Listed.of(
+            [[layout.read_labels(read_yaml(file_of(frame, 0)), self.variant, None, frame)] for frame in frames]
+        )
         check_numbers(listed, cars, file_of)
         boxes, _ = listed.merged(self.variant.disagreement_m, file_of)
         return SceneBoxes.concatenate([boxes, *(missing_boxes(boxes, car, self.variant) for car in cars)])
@@ -515,6 +486,6 @@ def _view_points(
     for frame, number in enumerate(numbers):
         rows = np.flatnonzero(boxes.frame == frame)
         ids: Ints = boxes.id[rows]
-        visible = read_visible(read_yaml(agent.view(number)), ids)
+        visible = layout.read_visible(read_yaml(layout.file_of_frame(agent.folder, agent.views, number, "_view")), ids)
         points[rows] = [0 if each == object_id else visible.get(each, 0) for each in ids.tolist()]
     return points

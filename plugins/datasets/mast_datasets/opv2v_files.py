@@ -6,15 +6,15 @@ import itertools
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Meta, Struct
 
 from mast_datasets.files import Element, entries, find_folder
-from mast_datasets.traffic import classes_of
+from mast_datasets.traffic import check_steps, classes_of
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -41,14 +41,10 @@ def category_key(text: str) -> str:
     return "".join(letter for letter in text.lower() if letter not in " -_")
 
 
-def _lidar(low: float, high: float, max_range_m: float) -> LidarSensor:
-    return LidarSensor(
-        mount_position=np.zeros(3),
-        azimuth_step_deg=0.36,  # 1.3 million beams/s of 64 channels at 20 Hz
-        elevation_min_deg=low,
-        elevation_max_deg=high,
-        max_range_m=max_range_m,
-    )
+def _lidar(low: float, high: float, range_m: float) -> LidarSensor:
+    # 1.3 million beams/s of 64 channels at 20 Hz
+    lidar = LidarSensor(np.zeros(3), azimuth_step_deg=0.36, max_range_m=range_m)
+    return replace(lidar, elevation_min_deg=low, elevation_max_deg=high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +76,8 @@ class Variant:
     own_centre: Floats = field(default_factory=lambda: np.array([0.0, 0.0, _LINCOLN[2] / 2]))
 
 
-def _under_lidar() -> Floats:
-    """The middle of a car's box in the frame of a lidar that is 1.9 m above the ground."""
-    return np.array([0.0, 0.0, _LINCOLN[2] / 2 - 1.9])
-
+#: The middle of a car's box in the frame of a lidar that is 1.9 m above the ground.
+_UNDER_LIDAR = np.array([0.0, 0.0, _LINCOLN[2] / 2 - 1.9])
 
 OPV2V = Variant(left_handed=True, body="true_ego_pos", disagreement_m=0.5)
 MULTI_V2X = Variant(
@@ -99,7 +93,7 @@ V2X_REAL = Variant(
     category="obj_type",
     car=_lidar(-25.0, 15.0, 200.0),
     pole=_lidar(-45.0, 15.0, 200.0),
-    own_centre=_under_lidar(),
+    own_centre=_UNDER_LIDAR,
 )
 V2V4REAL = Variant(
     left_handed=False,
@@ -107,7 +101,7 @@ V2V4REAL = Variant(
     category="obj_type",
     associated=True,
     car=_lidar(-25.0, 15.0, 200.0),
-    own_centre=_under_lidar(),
+    own_centre=_UNDER_LIDAR,
 )
 
 
@@ -126,13 +120,10 @@ def pose(element: Element, left_handed: bool) -> tuple[Floats, Floats]:
     """
     if isinstance(element.value, list) and len(element.value) == 4:
         position, rotation = element.rigid()
-        if np.abs(position).max() > MAX_COORDINATE:
-            element.fail(f"a position of at most {MAX_COORDINATE:g} m")
-        if left_handed:
-            rotation = rotation * np.outer(_FLIP, _FLIP)
+        rotation = rotation * np.outer(_FLIP, _FLIP) if left_handed else rotation
     else:
-        values = element.read(_Pose)
-        position, rotation = np.array(values[:3]), rotations(np.array([values[3:]]), left_handed)[0]
+        values = np.array(element.read(_Pose))
+        position, rotation = values[:3], rotations(values[None, 3:], left_handed)[0]
     return (position * _FLIP if left_handed else position), rotation
 
 
@@ -141,19 +132,16 @@ def rotations(angle: Floats, left_handed: bool) -> Floats:
 
     left_handed: whether y is to the right in the file
     """
-    roll, yaw, pitch = np.moveaxis(angle * (math.pi / 180.0), -1, 0)
-    if left_handed:
-        yaw = -yaw
-    else:
-        roll = -roll
-    cr, sr, cy, sy, cp, sp = np.cos(roll), np.sin(roll), np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
+    roll, yaw, pitch = angle.T * (math.pi / 180.0)
+    roll, yaw = (roll, -yaw) if left_handed else (-roll, yaw)
+    cr, sr, cy, sy, cp, sp = (turn(each) for each in (roll, yaw, pitch) for turn in (np.cos, np.sin))
     # Rz(yaw) Ry(-pitch) Rx(roll)
     rows = [
         [cy * cp, -cy * sp * sr - sy * cr, -cy * sp * cr + sy * sr],
         [sy * cp, -sy * sp * sr + cy * cr, -sy * sp * cr - cy * sr],
         [sp, cp * sr, cp * cr],
     ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return np.moveaxis(np.array(rows), -1, 0)
 
 
 _AGENT = re.compile(r"(?:(cav|rsu)_)?(-?[0-9]{1,9})")
@@ -161,8 +149,7 @@ _FRAME = re.compile(r"([0-9]{1,9})\.yaml")
 _VIEW = re.compile(r"([0-9]{1,9})_view\.yaml")
 
 
-@dataclass(frozen=True)
-class AgentFolder:
+class AgentFolder(NamedTuple):
     """The folder of an agent.
 
     number: of the agent; is_pole: whether it is infrastructure
@@ -178,10 +165,6 @@ class AgentFolder:
     def file(self, frame: int) -> Path:
         """The file of a frame. Raises SceneError if there is none."""
         return file_of_frame(self.folder, self.files, frame)
-
-    def view(self, frame: int) -> Path:
-        """The file of what the agent sees in a frame. Raises SceneError if there is none."""
-        return file_of_frame(self.folder, self.views, frame, "_view")
 
     def covers(self, frames: Sequence[int]) -> bool:
         """Whether the agent is there from the first to the last of the frames."""
@@ -227,13 +210,7 @@ def choose_frames(agent: AgentFolder, first: int | None, last: int | None) -> li
     chosen = [n for n in numbers if (first is None or n >= first) and (last is None or n <= last)]
     if not chosen:
         raise ConfigurationError(f"{agent.folder}: first_frame is {first}, expected at most last_frame, {last}")
-    step = min((after - before for before, after in itertools.pairwise(chosen)), default=1)
-    for before, after in itertools.pairwise(chosen):
-        if after - before != step:
-            raise SceneError(
-                f"{agent.folder}: frame {before} is followed by {after}, expected {before + step}; "
-                "first_frame and last_frame choose a part without a gap"
-            )
+    check_steps(agent.folder, chosen, "; first_frame and last_frame choose a part without a gap")
     return chosen
 
 
@@ -242,37 +219,30 @@ def check_frames(agents: Sequence[AgentFolder], frames: Sequence[int]) -> None:
     for agent in agents:
         for frame in frames:
             agent.file(frame)
-        between = [frame for frame in agent.files if frames[0] <= frame <= frames[-1]]
-        extra = sorted(set(between) - set(frames))
+        extra = [frame for frame in agent.files if frames[0] <= frame <= frames[-1] and frame not in frames]
         if extra:
             raise SceneError(f"{agent.files[extra[0]]}: the ego has no frame {extra[0]}, expected the same frames")
 
 
 def _is_agent(folder: Path) -> bool:
-    return (
-        bool(_AGENT.fullmatch(folder.name))
-        and folder.is_dir()
-        and any(_FRAME.fullmatch(child.name) for child in entries(folder))
-    )
+    is_named = _AGENT.fullmatch(folder.name) and folder.is_dir()
+    return bool(is_named) and any(_FRAME.fullmatch(child.name) for child in entries(folder))
 
 
 def _agent(folder: Path) -> AgentFolder:
-    match = _AGENT.fullmatch(folder.name)
-    kind, number = (match[1], int(match[2])) if match else ("", 0)
-    return AgentFolder(folder, number, kind == "rsu" or number < 0, _frames(folder, _FRAME), _frames(folder, _VIEW))
+    kind, _, name = folder.name.rpartition("_")
+    is_pole = kind == "rsu" or int(name) < 0
+    return AgentFolder(folder, int(name), is_pole, _frames(folder, _FRAME), _frames(folder, _VIEW))
 
 
 def _frames(folder: Path, pattern: re.Pattern[str]) -> dict[int, Path]:
     """Files by the number in their names, ascending."""
     files: dict[int, Path] = {}
     for path in entries(folder):
-        match = pattern.fullmatch(path.name)
-        if match is None:
-            continue
-        frame = int(match[1])
-        if frame in files:
-            raise SceneError(f"{path}: found frame {frame} twice, also {files[frame].name}")
-        files[frame] = path
+        if match := pattern.fullmatch(path.name):
+            other = files.setdefault(int(match[1]), path)
+            if other != path:
+                raise SceneError(f"{path}: found frame {int(match[1])} twice, also {other.name}")
     return dict(sorted(files.items()))
 
 
@@ -285,7 +255,6 @@ def file_of_frame(folder: Path, files: dict[int, Path], frame: int, ending: str 
 
 
 _Id = Annotated[int, Meta(ge=0, le=10**12)]
-_SharedId = Annotated[int, Meta(ge=-1, le=10**12)]
 _Count = Annotated[int, Meta(ge=0, le=2**31 - 1)]
 _Half = Annotated[float, Meta(gt=0, le=1000)]  # m
 
@@ -301,10 +270,10 @@ class _Placed(Struct):
     center: _Triple
     extent: tuple[_Half, _Half, _Half]
     angle: _Triple
+    ass_id: Annotated[int, Meta(ge=-1, le=10**12)] | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Poses:
+class Poses(NamedTuple):
     """Poses of agents in the world: position (…, 3) m of the body, lidar (…, 3) m, and rotation (…, 3, 3) of the lidar.
 
     The axes before are none for one agent in one frame, or F frames and A agents.
@@ -317,8 +286,7 @@ class Poses:
 
 def joined_poses(poses: Sequence[Sequence[Poses]]) -> Poses:
     """The poses of the agents for each frame as one."""
-    names = [column.name for column in fields(Poses)]
-    return Poses(*(np.array([[getattr(each, name) for each in now] for now in poses]) for name in names))
+    return Poses(*(np.array([[each[column] for each in now] for now in poses]) for column in range(3)))
 
 
 def read_pose(content: Element, variant: Variant, is_pole: bool) -> Poses:
@@ -337,39 +305,24 @@ def read_labels(content: Element, variant: Variant, agent: Poses | None, frame: 
 
     Also returns the id (n,) of each that agents share, -1 if there is none.
     """
-    listed = content[variant.objects]
-    if listed.value is None or listed.value == []:  # as PyYAML may write none
-        listed = Element({}, listed.path, listed.place)
-    ids: list[int] = []
-    associated: list[int] = []
-    classes: list[int] = []
-    rows: list[list[float]] = []
-    for key, each in listed.members():
+    listed, rows = content[variant.objects], []
+    for key, each in listed.members() if listed.value else ():  # PyYAML may write none as null or []
         number = Element(key, listed.path, each.place).read(_Id)
-        category = _category(each, variant)
-        if category in LEFT_OUT:
-            continue
-        shared = each.get("ass_id") if variant.associated else None
-        ids.append(number)
-        associated.append(-1 if shared is None else shared.read(_SharedId))
-        classes.append(CLASS_INDEX["car"] if category is None else _CLASS_OF_CATEGORY.get(category, 0))
-        placed = each.read(_Placed)
-        rows.append([*placed.location, *placed.center, *placed.extent, *placed.angle])
-    table = np.array(rows, np.float64).reshape(-1, 12)
+        category = None if variant.category is None else category_key(each[variant.category].text())
+        if category not in LEFT_OUT:
+            kind = CLASS_INDEX["car"] if category is None else _CLASS_OF_CATEGORY.get(category, 0)
+            box: _Placed = each.read(_Placed)
+            shared = box.ass_id if variant.associated and box.ass_id is not None else -1
+            rows.append((number, shared, kind, *box.location, *box.center, *box.extent, *box.angle))
+    table = np.array([row[3:] for row in rows], np.float64).reshape(-1, 12)
+    ids, associated, classes = np.array([row[:3] for row in rows], np.int64).reshape(-1, 3).T
     position = (table[:, :3] + table[:, 3:6]) * (_FLIP if variant.left_handed else 1.0)
     rotation = rotations(table[:, 9:], variant.left_handed)
     if variant.objects_in == "lidar" and agent is not None:
         position = agent.lidar + position @ agent.rotation.T
         rotation = agent.rotation @ rotation
-    boxes = SceneBoxes(
-        frame=np.full(len(ids), frame, np.int64),
-        id=np.array(ids, np.int64),
-        position=position,
-        size=2.0 * table[:, 6:9],
-        yaw=heading(rotation),
-        class_id=np.array(classes, np.uint8),
-    )
-    return boxes, np.array(associated, np.int64)
+    now, class_id = np.full(len(ids), frame, np.int64), classes.astype(np.uint8)
+    return SceneBoxes(now, ids, position, 2.0 * table[:, 6:9], heading(rotation), class_id), associated
 
 
 def read_visible(content: Element, known: Ints) -> dict[int, int]:
@@ -377,19 +330,13 @@ def read_visible(content: Element, known: Ints) -> dict[int, int]:
 
     known: (n,) ids of the objects in that frame
     """
-    listed, objects = content["visible_objects"], set(known.tolist())
-    visible: dict[int, int] = {}
-    for row, each in enumerate(listed.read(list[_Visible])):
+    objects, visible = set(known.tolist()), dict[int, int]()
+    for element in content["visible_objects"].elements():
+        each: _Visible = element.read(_Visible)
         if each.object_id in visible:
-            listed.elements()[row].fail("each object once")
-        if each.category is not None and category_key(each.category) in LEFT_OUT:
-            continue
-        if each.object_id not in objects:
-            listed.elements()[row].fail("an object that the map has in this frame")
-        visible[each.object_id] = each.visible_points
+            element.fail("each object once")
+        if each.category is None or category_key(each.category) not in LEFT_OUT:
+            if each.object_id not in objects:
+                element.fail("an object that the map has in this frame")
+            visible[each.object_id] = each.visible_points
     return visible
-
-
-def _category(each: Element, variant: Variant) -> str | None:
-    """The category of an object; None: the data set has none."""
-    return None if variant.category is None else category_key(each[variant.category].text())

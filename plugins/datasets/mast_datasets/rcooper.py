@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mast_datasets.dair import add_labels, check_differences, matched, positions
-from mast_datasets.dair_files import read_labels, read_transform, track_of
+from mast_datasets import dair
 from mast_datasets.files import choose_name, entries
 from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, check_times, listed_returns
 from mast_zenoh.arrays.states import Floats, Ints
@@ -79,11 +78,10 @@ class RCooperScene(DataSetScene):
         times, _ = self._frames(folder / _COOPERATIVE / sequence)
         differences = {}
         for agent in agents:
-            own = folder / agent / sequence
-            moments, files = self._frames(own, len(times))
+            moments, files = self._frames(own := folder / agent / sequence, len(times))
             differences[agent] = (moments - times) / 1e9
             names = [file.name for file in files]
-            check_differences(own, names, f"agent {agent}", differences[agent], self.max_time_difference_s)
+            dair.check_differences(own, names, f"agent {agent}", differences[agent], self.max_time_difference_s)
         return differences
 
     def record(self, seed: int, frames: int | None) -> Recording:
@@ -93,7 +91,7 @@ class RCooperScene(DataSetScene):
         cooperative = folder / _COOPERATIVE / sequence
         times, files = self._frames(cooperative)
         check_times(cooperative, [file.name for file in files], times, self.max_gap_s, "max_gap_s")
-        poses = [read_transform(root / _CALIBRATION / f"{agent}.json") for agent in agents]
+        poses = [dair.read_transform(root / _CALIBRATION / f"{agent}.json") for agent in agents]
         boxes = _truth(files, poses[0])
         paths = []
         for column, (agent, pose) in enumerate(zip(agents, poses, strict=True)):
@@ -102,7 +100,9 @@ class RCooperScene(DataSetScene):
             measured, own_files = self._frames(folder / agent / sequence, len(times))
             for frame, file in enumerate(own_files):
                 rows = boxes.frame == frame
-                seen[rows] = matched(positions(read_labels(file), *pose), boxes.position[rows], self.match_radius_m)
+                seen[rows] = dair.matched(
+                    dair.positions(dair.read_labels(file), *pose), boxes.position[rows], self.match_radius_m
+                )
             returns = listed_returns(boxes, path, seen, frames=frames)
             paths.append(replace(path, points=returns, measured_ns=measured))
         return assemble(f"{folder.name} {sequence}", times, boxes, paths, self.detector, seed=seed, frames=frames)
@@ -152,11 +152,11 @@ def _truth(files: list[Path], pose: tuple[Floats, Floats]) -> SceneBoxes:
     """The cooperative boxes in the world frame. pose: of the first pole."""
     truth = Labels(files[0].parent)
     for frame, file in enumerate(files):
-        labels = read_labels(file)
+        labels = dair.read_labels(file)
         for label in labels:
-            if not track_of(label):
+            if not dair.track_of(label):
                 label["track_id"].fail("a name or a number")
-        add_labels(truth, frame, labels, pose)
+        dair.add_labels(truth, frame, labels, pose)
     if not truth.tracks:
         raise SceneError(f"{files[0].parent}: found no labels in {len(files)} frames, expected at least one")
     return truth.boxes()[0]

@@ -7,7 +7,6 @@ from abc import ABC, abstractmethod
 from array import array
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Generic, NamedTuple, NoReturn, TypeVar
@@ -21,9 +20,8 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 from rosbags.typesys.base import normalize_fieldname
 
-from mast_datasets.rosbag_map import BagMap, DetectionsEntry, FramePose, TopicSource, TruthEntry
-from mast_datasets.rosbag_storage import Bag
-from mast_datasets.rosbag_types import Decode, Fields, OwnType, known_decoder, parse_definition
+from mast_datasets.rosbag import BagMap, DetectionsEntry, FramePose, TopicSource, TruthEntry
+from mast_datasets.rosbag_storage import Bag, Decode, Fields, OwnType, known_decoder, parse_definition
 from mast_datasets.traffic import MAX_BOXES
 from mast_zenoh.arrays.geometry import heading, quaternion_from_rotation, rotation_from_quaternion, rotation_from_yaw
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Bools, Detections, Floats, Ints, ObjectStates
@@ -49,8 +47,7 @@ class PosesAt(NamedTuple):
     known: Bools
 
 
-@dataclass(frozen=True, eq=False)
-class PoseTrack:
+class PoseTrack(NamedTuple):
     """Poses over time: times_ns (K,) ascending, position (K, 3) m and quaternion (K, 4) w x y z, world frame."""
 
     times_ns: Ints
@@ -242,26 +239,19 @@ class PoseReader(TopicReader[TopicSource]):
         return PoseTrack(times, poses[:, :3], poses[:, 3:])
 
 
-@dataclass(frozen=True, eq=False)
-class SensorMeasurements:
+class SensorMeasurements(NamedTuple):
     """The measurements of a sensor.
 
     times_ns:   (K,) ns, ascending
-    first:      (K,) row of the first detection of each, and count: (K,) how many it has
+    rows:       (K,) rows of the detections of each
     detections: of all measurements
     fixed:      pose in the world of the fixed frame that they are in; None: they are in the sensor's
     """
 
     times_ns: Ints
-    first: Ints
-    count: Ints
+    rows: Sequence[slice]
     detections: Detections
     fixed: FramePose | None
-
-    def detections_of(self, measurement: int) -> Detections:
-        """The detections of a measurement; views, not copies."""
-        first = int(self.first[measurement])
-        return self.detections.select(slice(first, first + int(self.count[measurement])))
 
 
 class DetectionReader(TopicReader[DetectionsEntry]):
@@ -336,10 +326,9 @@ class DetectionReader(TopicReader[DetectionsEntry]):
         }
         results = []
         try:
-            score, kind = (_value(each, self._paths[n]) if n in self._paths else None for n in ("score", "kind"))
-            hypothesis = SimpleNamespace(
-                class_id="unknown" if kind is None else str(kind), score=1.0 if score is None else float(score)
-            )
+            usual: dict[str, Any] = {"score": 1.0, "kind": "unknown"}
+            score, kind = (_value(each, self._paths[n]) if n in self._paths else usual[n] for n in usual)
+            hypothesis = SimpleNamespace(class_id=str(kind), score=float(score))
             results = [SimpleNamespace(hypothesis=hypothesis, pose=SimpleNamespace(covariance=np.zeros(36)))]
         except (TypeError, ValueError):
             raise MessageError("score: no number") from None
@@ -357,9 +346,8 @@ class DetectionReader(TopicReader[DetectionsEntry]):
         detections = Detections(
             position, size, yaw[:, 0], score[:, 0], class_id[:, 0].astype(np.uint8), covariance.reshape(-1, 3, 3)
         )
-        return SensorMeasurements(
-            times[order], first[order], count[order], detections, self._frames.get(self.source.frame)
-        )
+        rows = [slice(first[row], first[row] + count[row]) for row in order.tolist()]
+        return SensorMeasurements(times[order], rows, detections, self._frames.get(self.source.frame))
 
 
 #: Parts of a detection, names of their numbers, and the usual ones.
@@ -410,8 +398,7 @@ def _change(message: Any, entry: DetectionsEntry) -> None:
             box.size.x, box.size.y, box.size.z = entry.size
 
 
-@dataclass(frozen=True, eq=False)
-class TrueObject:
+class TrueObject(NamedTuple):
     """An object of a list: its poses, and at each of their times size (K, 3) m and class (K,)."""
 
     poses: PoseTrack
@@ -424,7 +411,7 @@ class ObjectReader(TopicReader[TruthEntry]):
 
     def __init__(self, source: TruthEntry, place: str, bag_map: BagMap) -> None:
         super().__init__(source, place, bag_map)
-        self._without: frozenset[int] = frozenset()
+        self._without: set[int] = set()
         self._ids, self._times, self._values = array("q"), array("q"), array("d")
 
     def decoder(self, bag: str, connection: Connection, types: Fields) -> Decode:
@@ -432,13 +419,9 @@ class ObjectReader(TopicReader[TruthEntry]):
         self._check_type(connection, _TYPES_OF_TRUTH, hint)
         if self.source.chain:
             self._fail(f"{connection.msgtype} has no use for `child`")
-        has_uuids = connection.msgtype == type_store.TRACKED_OBJECTS
-        self._without = frozenset(
-            id_of_uuid(bytes.fromhex(name.replace("-", "")))
-            if has_uuids and _UUID.fullmatch(name)
-            else id_of_text(name)
-            for name in map(str, self.source.without)
-        )
+        for name in map(str, self.source.without):
+            is_uuid = connection.msgtype == type_store.TRACKED_OBJECTS and _UUID.fullmatch(name)
+            self._without.add(id_of_uuid(bytes.fromhex(name.replace("-", ""))) if is_uuid else id_of_text(name))
         return known_decoder(bag, connection)
 
     @property
@@ -475,14 +458,10 @@ class ObjectReader(TopicReader[TruthEntry]):
         """All objects, by their ids."""
         ids, times = np.frombuffer(self._ids, np.int64), np.frombuffer(self._times, np.int64)
         values = np.frombuffer(self._values, np.float64).reshape(-1, 8)
-        order = np.lexsort((times, ids))
-        repeated = np.zeros(len(order), bool)
-        repeated[1:] = (np.diff(ids[order]) == 0) & (np.diff(times[order]) == 0)
-        if repeated.any():
-            self._leave_out("an object at the time of another one with its id", int(repeated.sum()))
-            order = order[~repeated]
-        objects = len(np.unique(ids))
-        if objects > _MAX_OBJECTS:
+        _, order = np.unique(np.stack([ids, times], axis=1), axis=0, return_index=True)  # by id, then by time
+        if len(order) < len(ids):
+            self._leave_out("an object at the time of another one with its id", len(ids) - len(order))
+        if (objects := len(np.unique(ids))) > _MAX_OBJECTS:
             raise SceneError(f"{self.source.topic}: found {objects} objects, expected at most {_MAX_OBJECTS}")
         found = []
         for rows in np.split(order, np.flatnonzero(np.diff(ids[order])) + 1) if len(order) else []:
@@ -517,12 +496,13 @@ def read_topics(bag: Bag, bag_map: BagMap, path: Path) -> dict[TopicSource, Topi
     for number, (connection, received_ns, payload) in enumerate(bag.messages({each.topic for each in readers})):
         key = connection.topic, (connection.msgtype, connection.msgdef, connection.digest)
         if key not in of_topic:
-            own = [reader for reader in readers.values() if reader.source.topic == connection.topic]
-            decoders = [reader.decoder(str(bag.path), connection, types) for reader in own]
-            # Readers of detections change messages; all others share one, for many agents may be on /tf.
-            of_topic[key] = [(decode, [reader]) for decode, reader in zip(decoders, own, strict=True) if reader.changes]
-            sharing = [reader for reader in own if not reader.changes]
-            of_topic[key] += [(decoders[own.index(sharing[0])], sharing)] if sharing else []
+            sharing: dict[int, tuple[Decode, list[TopicReader[Any]]]] = {}
+            for row, reader in enumerate(readers.values(), start=1):
+                if reader.source.topic == connection.topic:
+                    decode = reader.decoder(str(bag.path), connection, types)
+                    # Readers of detections change messages; all others share one, for many agents may be on /tf.
+                    sharing.setdefault(row * reader.changes, (decode, []))[1].append(reader)
+            of_topic[key] = list(sharing.values())
         if number >= MAX_MESSAGES:
             raise SceneError(f"{bag.path}: found more than {MAX_MESSAGES} messages of mapped topics")
         for decode, of_decoder in of_topic[key]:
@@ -543,14 +523,11 @@ def read_topics(bag: Bag, bag_map: BagMap, path: Path) -> dict[TopicSource, Topi
 def _check_used(bag: Bag, reader: TopicReader[Any]) -> None:
     """Raise ConfigurationError if the topic is not in the bag, and SceneError if nothing in it can be used."""
     topic, chain = reader.source.topic, reader.source.chain
+    if not reader.count and topic in (topics := bag.topics()):
+        raise SceneError(f"{bag.path}: {topic} has no messages ({reader.place})")
     if not reader.count:
-        topics = bag.topics()
-        if topic in topics:
-            raise SceneError(f"{bag.path}: {topic} has no messages ({reader.place})")
-        raise ConfigurationError(
-            f"{reader.place}: no topic {topic!r} in {bag.path}{nearest(topic, topics)}; the bag has "
-            f"{bag.listed_topics()}"
-        )
+        where = f"{bag.path}{nearest(topic, topics)}; the bag has {bag.listed_topics()}"
+        raise ConfigurationError(f"{reader.place}: no topic {topic!r} in {where}")
     if not reader.used:
         child = f"none for each of {', '.join(chain)}" if chain else "none that can be used"
         reasons = "".join(f"; {remark}: {number}" for remark, number in reader.remarks.most_common(3))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mast_datasets.rosbag_map import AgentEntry, BagMap, Body, TopicSource
+from mast_datasets.rosbag import AgentEntry, BagMap, Body, RosBag, TopicSource
 from mast_datasets.rosbag_reading import (
     DetectionReader,
     ObjectReader,
@@ -29,16 +29,12 @@ from mast_zenoh.scenes.making.sensor_types import SensorSchedule
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Measurements, Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor, sensor_pose, to_sensor
 
-if TYPE_CHECKING:
-    from mast_datasets.rosbag import RosBag
-
 _MAX_FRAMES = 200_000
 _LEVEL = 1e-3  # cosine of the tilt of a sensor that looks straight down or up: yaws about its axis say nothing
 _CAMERA = Camera(mount_position=np.zeros(3))
 
 
-@dataclass(frozen=True, eq=False)
-class _DetectionRows:
+class _DetectionRows(NamedTuple):
     """Detections of one sensor in all frames: each with its frame (n,) and truth id (n,)."""
 
     frame: Ints
@@ -120,9 +116,9 @@ class BagScene:
 
     def _times_of_data(self) -> dict[str, Ints]:
         """Times of measurements and of the truth, for a scene in which no agent moves."""
-        times = [each.poses.times_ns for listed in self._lists.values() for each in listed]
+        objects = [each.poses for listed in self._lists.values() for each in listed]
+        times = [each.times_ns for each in (*objects, *self._tracks.values())]
         times += [each.times_ns for each in self._measured.values()]
-        times += [each.times_ns for each in self._tracks.values()]
         if not times:
             raise ConfigurationError(f"{self._path}: the map has no topics, expected one, for the times of frames")
         return {str(row): each for row, each in enumerate(times)}
@@ -174,8 +170,8 @@ class BagScene:
 
     def _part(self, name: str, number: int, body: Body, poses: PosesAt) -> SceneBoxes:
         """The boxes of an object with a body; frames without one are noted."""
-        if not poses.known.all():
-            absent, frames = int((~poses.known).sum()), len(poses.known)
+        if absent := int((~poses.known).sum()):
+            frames = len(poses.known)
             self.notes.append(f"{name}: not there in {absent} of {frames} frames, which have no pose of it")
         return _boxes_of(number, body, poses)
 
@@ -224,12 +220,9 @@ class BagScene:
         if len(generated) == len(rows):
             return recording
         detections, starts, truth_id = _joined(rows, frames)
+        own = Measurements(age, position, rotation)
         complete = replace(
-            recording,
-            detections=detections,
-            detection_start=starts,
-            detection_truth_id=truth_id,
-            measurements=Measurements(age, position, rotation),
+            recording, detections=detections, detection_start=starts, detection_truth_id=truth_id, measurements=own
         )
         complete.validate()
         return complete
@@ -263,12 +256,11 @@ def _boxes_of(number: int, body: Body, poses: PosesAt) -> SceneBoxes:
 def _rows_of(recording: Recording, agent: int, sensor: int) -> _DetectionRows:
     """The detections of a sensor in a recording."""
     column, sensors = recording.column(agent, sensor), len(recording.sensor_names)
-    start = recording.detection_start
-    counts = np.diff(start).reshape(-1, sensors)[:, column]
-    frame = np.repeat(np.arange(len(counts)), counts)
-    first = np.repeat(start[:-1].reshape(-1, sensors)[:, column], counts)
-    rows = first + np.arange(len(frame)) - np.repeat(np.cumsum(counts) - counts, counts)
-    return _DetectionRows(frame, recording.detections.select(rows), recording.detection_truth_id[rows])
+    of_all = np.repeat(np.arange(len(recording) * sensors), np.diff(recording.detection_start))
+    rows = np.flatnonzero(of_all % sensors == column)
+    return _DetectionRows(
+        of_all[rows] // sensors, recording.detections.select(rows), recording.detection_truth_id[rows]
+    )
 
 
 def _measured_rows(
@@ -280,7 +272,7 @@ def _measured_rows(
     """
     parts = []
     for row in source.tolist():
-        detections = measured.detections_of(row)
+        detections = measured.detections.select(measured.rows[row])
         pose = sensor_pose(poses.position[row], poses.rotation[row], lidar.mount_position, lidar.mount_rotation)
         if measured.fixed is None:
             parts.append(replace(detections, yaw=_about_vertical(detections.yaw, pose[1])))

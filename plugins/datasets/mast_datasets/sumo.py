@@ -20,7 +20,7 @@ from mast_datasets.sumo_files import (
     type_of_class,
 )
 from mast_datasets.sumo_traffic import SUFFIXES, SumoTraffic
-from mast_datasets.traffic import TrafficScene, busiest_vehicle, check_times, ego_in_traffic, near_route
+from mast_datasets.traffic import TrafficScene, busiest_vehicle, check_times, ego_in_traffic, ground_below, near_route
 from mast_datasets.xml_files import has_root
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -57,49 +57,36 @@ def read_trace(file: Path, types: VehicleTypes, start_s: float | None, duration_
 
     Raises SceneError for a trace that cannot be, and ConfigurationError for a window that is not in it.
     """
-    steps = read_steps(file)
-    collected = _TraceRows(file, types)
-    times: list[int] = []
-    last: int | None = None
+    collected, times = _TraceRows(file, types), list[int]()
     begin = None if start_s is None else round(start_s * _NS)
     length = round((_LONGEST_DEFAULT_S if duration_s is None else duration_s) * _NS)
-    for time, rows in steps:
+    first = last = None
+    for time, rows in read_steps(file):
         now = round(time.number(0.0, _MAX_TIME_S) * _NS)
         if last is not None and now <= last:
             time.fail(f"a time later than the one before, {last / _NS:g}")
-        last = now
+        first, last = now if first is None else first, now
         begin = now if begin is None else begin
-        if not times and now > begin:
-            raise ConfigurationError(
-                f"{file}: start_s is {begin / _NS:g}, expected a time of the trace such as {now / _NS:g}"
-            )
         if now >= begin + length:
             break
         if now >= begin:
             collected.add(len(times), rows)
             times.append(now)
-    else:
-        _check_end(file, times, last, begin, None if duration_s is None else length)
+    if first is None or last is None or begin is None:
+        raise SceneError(f"{file}: found no time step, expected at least one")
+    if not first <= begin <= last:
+        expected = f"a time of the trace, {first / _NS:g} to {last / _NS:g}"
+        raise ConfigurationError(f"{file}: start_s is {begin / _NS:g}, expected {expected}")
+    step = times[-1] - times[-2] if len(times) > 1 else 0
+    if duration_s is not None and last + _GAP * step < begin + length:
+        most = f"{(last + step - begin) / _NS:g}: the trace ends at {last / _NS:g}"
+        raise ConfigurationError(f"{file}: duration_s is {length / _NS:g}, expected at most {most}")
     times_ns = np.array(times, np.int64)
     shortest_s = np.diff(times_ns).min(initial=_NS * 1_000_000) / _NS
     check_times(file, [f"{time / _NS:g} s" for time in times], times_ns, _GAP * shortest_s)
     trace = collected.trace(times_ns)
     _check_metres(file, trace)
     return trace
-
-
-def _check_end(file: Path, times: list[int], last: int | None, begin: int | None, length: int | None) -> None:
-    """Raise an error for a trace that ends before its window."""
-    if last is None or begin is None:
-        raise SceneError(f"{file}: found no time step, expected at least one")
-    if not times:
-        raise ConfigurationError(f"{file}: start_s is {begin / _NS:g}, the trace ends at {last / _NS:g}")
-    step = times[-1] - times[-2] if len(times) > 1 else 0
-    if length is not None and last + _GAP * step < begin + length:
-        raise ConfigurationError(
-            f"{file}: duration_s is {length / _NS:g}, expected at most {(last + step - begin) / _NS:g}: "
-            f"the trace ends at {last / _NS:g}"
-        )
 
 
 def _check_metres(file: Path, trace: Trace) -> None:
@@ -125,15 +112,12 @@ class _TraceRows:
         self._file = file
         self._types = types
         self._known: dict[str, VehicleType] = {}
-        self._rows: list[tuple[int, str, tuple[float, float, float], float, float, VehicleType, bool]] = []
-        self._has_heights = False
+        self._rows: list[tuple[int, str, tuple[float, float, float], float, float, VehicleType, bool, bool]] = []
 
     def add(self, frame: int, listed: list[tuple[bool, Element]]) -> None:
         """Add the rows of a frame, without those of persons in a vehicle."""
         seen: set[str] = set()
-        rows: list[tuple[bool, Element, TraceRow]] = [
-            (person, element, element.read(TraceRow)) for person, element in listed
-        ]
+        rows = [(person, element, element.read(TraceRow)) for person, element in listed]
         # SUMO gives the position, angle and speed of their vehicle to persons in it.
         vehicles = {(row.x, row.y, row.angle, row.speed) for person, _, row in rows if not person}
         for person, element, row in rows:
@@ -143,15 +127,14 @@ class _TraceRows:
             if name in seen:
                 element.fail("every id once at a time")
             seen.add(name)
-            self._has_heights = self._has_heights if self._rows else row.z is not None
-            if self._has_heights != (row.z is not None):
+            if (row.z is None) != (self._rows[0][-1] if self._rows else row.z is None):
                 element.fail("z for all objects, or for none")
             if len(self._rows) >= _MAX_ROWS:
                 most = f"expected at most {_MAX_ROWS}; choose a shorter duration_s"
                 raise SceneError(f"{self._file}: found more rows in the window, {most}")
             speed = np.nan if row.speed is None else row.speed
             place, yaw = (row.x, row.y, row.z or 0.0), float(np.radians(90.0 - row.angle))
-            self._rows.append((frame, name, place, yaw, speed, self._kind(person, element, row), person))
+            self._rows.append((frame, name, place, yaw, speed, self._kind(person, element, row), person, row.z is None))
 
     def _kind(self, person: bool, element: Element, row: TraceRow) -> VehicleType:
         if row.type is None:
@@ -169,23 +152,18 @@ class _TraceRows:
 
     def trace(self, times_ns: Ints) -> Trace:
         """The boxes of all rows."""
-        columns = zip(*self._rows, strict=True) if self._rows else [()] * 7
-        frame, name, place, angle, speed, types, person = columns
+        columns = zip(*self._rows, strict=True) if self._rows else [()] * 8
+        frame, name, place, angle, speed, types, person, _ = columns
         names, number = np.unique(np.array(name, dtype=np.str_), return_inverse=True)
         front, yaw = np.array(place, np.float64).reshape(-1, 3), np.array(angle, np.float64)
         size = np.array([kind.size for kind in types]).reshape(-1, 3)
         ahead: Floats = np.stack([np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))], axis=1)
         back = np.where(np.array(person, bool), 0.0, size[:, 0] / 2)
-        boxes = SceneBoxes(
-            frame=np.array(frame, np.int64),
-            id=number.astype(np.int64) + 1,
-            position=front - back[:, None] * ahead + np.stack([0 * back, 0 * back, size[:, 2] / 2], axis=1),
-            size=size,
-            yaw=yaw,
-            class_id=np.array([kind.class_id for kind in types], np.uint8),
-            velocity=np.array(speed, np.float64)[:, None] * ahead,
-        )
-        return Trace(times_ns, boxes, names.tolist(), front)
+        middle = front - back[:, None] * ahead + np.stack([0 * back, 0 * back, size[:, 2] / 2], axis=1)
+        class_id = np.array([kind.class_id for kind in types], np.uint8)
+        velocity = np.array(speed, np.float64)[:, None] * ahead
+        numbers = np.array(frame, np.int64), number.astype(np.int64) + 1
+        return Trace(times_ns, SceneBoxes(*numbers, middle, size, yaw, class_id, velocity), names.tolist(), front)
 
 
 _SUFFIXES = (".xml", ".xml.gz", ".csv", ".csv.gz")
@@ -243,12 +221,10 @@ class SumoTrace(TrafficScene):
         file = _find_trace(self.root)
         types = VehicleTypes([*_beside(file, ".rou.xml"), *_beside(file, ".add.xml")])
         trace = read_trace(file, types, self.start_s, self.duration_s)
-        count = len(trace.times_ns)
-        boxes = trace.boxes
+        count, boxes = len(trace.times_ns), trace.boxes
         ego = busiest_vehicle(boxes, count, file) if self.ego is None else self._find_ego(trace, file)
-        own = boxes.select(boxes.id == ego)
-        route = own.position[np.argsort(own.frame, kind="stable")]
-        origin = route[0] - [0.0, 0.0, own.size[0, 2] / 2]
+        route = boxes.position[boxes.rows_of(ego)]
+        origin, _ = ground_below(boxes, ego, route)
         boxes = boxes.select(near_route(boxes, route[:, :2], self.radius_m))
         outlines, heights = read_buildings(
             _beside(file, ".poly.xml"), route[:, :2], self.radius_m, self.building_height_m

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import csv
 import re
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -79,34 +77,32 @@ def _csv_rows(file: Path) -> Iterator[tuple[TextElement, bool, Element]]:
     lines = read_lines(file)
     header = next(lines, "")
     delimiter = ";" if ";" in header else ","
-    reader = csv.reader(lines, delimiter=delimiter, strict=True, skipinitialspace=True)
     names = [name.strip() for name in header.split(delimiter)]
+    if len(set(names)) < len(names):
+        raise SceneError(f"{file}: line 1: found the columns {', '.join(names[:12])}, expected each once")
+    reader = csv.DictReader(lines, names, delimiter=delimiter, strict=True, skipinitialspace=True)
     groups = _columns(names, file)
     time = groups[0][1]["time"]
     try:
-        for number, fields in enumerate(reader, start=2):
-            if len(fields) != len(names):
-                raise SceneError(f"{file}: line {number}: found {len(fields)} fields, expected {len(names)}")
-            row = dict(zip(names, fields, strict=True))
+        for row in reader:
+            place = f"line {reader.line_num + 1}"  # after the header
+            if None in row or None in row.values():
+                raise SceneError(f"{file}: {place}: found another number of fields, expected {len(names)}")
             person, columns = next((group for group in groups if row[group[1]["id"]]), (False, {}))
             values = {name: row[column].strip() for name, column in columns.items() if row[column].strip()}
-            now = TextElement(row[time], file, f"line {number}: {time}")
-            yield now, person, Element(values, file, f"line {number}")
+            yield TextElement(row[time], file, f"{place}: {time}"), person, Element(values, file, place)
     except csv.Error as error:
         raise SceneError(f"{file}: line {reader.line_num + 1}: not CSV: {error}") from error
 
 
 def _columns(names: list[str], file: Path) -> list[tuple[bool, dict[str, str]]]:
     """For vehicles and for persons, the column of each value."""
-    repeated = next((name for name, count in Counter(names).items() if count > 1), None)
-    if repeated is not None:
-        raise SceneError(f"{file}: line 1: found column {repeated!r} twice, expected it once")
-    groups: list[tuple[bool, dict[str, str]]] = []
+    groups = []
     for prefix in ("vehicle_", "person_") if _TIME in names else ("",):
         aliases = _ALIASES if not prefix else {name: (prefix + name,) for name in _ALIASES} | {"time": (_TIME,)}
-        found = {name: [alias for alias in known if alias in names] for name, known in aliases.items()}
-        if found["id"] and found["time"]:
-            groups.append((prefix == "person_", {name: columns[0] for name, columns in found.items() if columns}))
+        columns = {name: alias for name, known in aliases.items() for alias in reversed(known) if alias in names}
+        if columns.keys() >= {"id", "time"}:
+            groups.append((prefix == "person_", columns))
     if not groups:
         raise SceneError(
             f"{file}: line 1: found the columns {', '.join(names[:12])}, expected a time and an id: "
@@ -149,8 +145,7 @@ _BUILT_IN = {
 }
 
 
-@dataclass(frozen=True)
-class VehicleType:
+class VehicleType(NamedTuple):
     """Length, width and height m, and the class as an index into CLASSES."""
 
     size: tuple[float, float, float]
@@ -180,10 +175,8 @@ class VehicleTypes:
             return type_of_class(_BUILT_IN[base])
         if self._defined is None:
             self._defined = _read_types(self._files)
-        if base in self._defined:
-            return self._defined[base]
-        if base in VEHICLE_CLASSES:
-            return type_of_class(base)
+        if base in self._defined or base in VEHICLE_CLASSES:
+            return self._defined.get(base) or type_of_class(base)
         searched = ", ".join(file.name for file in self._files[:10]) or "no file *.rou.xml or *.add.xml"
         return Element(name, row.path, f"{row.place}: type").fail(
             f"a vehicle class, or the id of a vType (searched: {searched})"
@@ -197,25 +190,14 @@ def _read_types(files: Sequence[Path]) -> dict[str, VehicleType]:
             if element.tag != "vType":
                 continue
             name = element.attribute("id").text()
-            kind = _type(element)
+            default = type_of_class(element.attributes.get("vClass", _DEFAULT_CLASS))
+            values = [element.get_attribute(side) for side in ("length", "width", "height")]
+            parts = zip(values, default.size, strict=True)
+            length, width, height = (value.positive(MAX_SIZE_M) if value else usual for value, usual in parts)
+            kind = VehicleType((length, width, height), default.class_id)
             if types.setdefault(name, kind) != kind:
                 element.fail(f"vType {name!r} is already defined with another size or class, expected it once")
     return types
-
-
-def _type(element: XmlElement) -> VehicleType:
-    kind = element.get_attribute("vClass")
-    default = type_of_class(_DEFAULT_CLASS if kind is None else kind.text())
-    return VehicleType(read_size(element, default.size), default.class_id)
-
-
-def read_size(element: XmlElement, default: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Length, width and height m of an element's attributes, each one the default if it is missing."""
-    values = [element.get_attribute(name) for name in ("length", "width", "height")]
-    length, width, height = (
-        usual if value is None else value.positive(MAX_SIZE_M) for value, usual in zip(values, default, strict=True)
-    )
-    return length, width, height
 
 
 _MAX_COORDINATE_M = 1e8

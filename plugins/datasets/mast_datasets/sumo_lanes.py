@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -50,8 +49,7 @@ class StopLine(NamedTuple):
     via: str
 
 
-@dataclass(frozen=True, eq=False)
-class Way:
+class Way(NamedTuple):
     """The lanes that a car follows, one after the other, without changing to a lane beside it.
 
     lanes: their names;  limit: (l,) m/s, of each
@@ -158,15 +156,8 @@ def way_from(lane: str, edges: Sequence[str], length_m: float, lane_of: Callable
     if len(position) > 2:  # the last one is a metre after the one before, also beyond the end
         position[-1] = position[-2] + (position[-2] - position[-3])
     part = np.clip(np.searchsorted(start, places, side="right") - 1, 0, len(limits) - 1)
-    return Way(
-        names,
-        np.array(limits),
-        start,
-        position,
-        _speeds(position, np.array(limits)[part]),
-        lines,
-        not lane_of(names[-1]).links,
-    )
+    limit, is_dead_end = np.array(limits), not lane_of(names[-1]).links
+    return Way(names, limit, start, position, _speeds(position, limit[part]), lines, is_dead_end)
 
 
 def _length(shape: Floats) -> float:
@@ -175,10 +166,9 @@ def _length(shape: Floats) -> float:
 
 def _choose(links: Sequence[tuple[str, str, str]], wanted: Sequence[str]) -> int:
     """The link that leads to the next edge of a route; without one the straightest."""
-    for row, (target, _, _) in enumerate(links):
-        if wanted and target.rpartition("_")[0] == wanted[0]:
-            return row
-    order = "sRrLlt"
+    order, towards = "sRrLlt", [target.rpartition("_")[0] for target, _, _ in links]
+    if wanted and wanted[0] in towards:
+        return towards.index(wanted[0])
     return min(range(len(links)), key=lambda row: (order.find(links[row][2]) % (len(order) + 1), row))
 
 

@@ -88,32 +88,19 @@ class RunningSumo:
         foes = [(*foe, vehicle.getLaneID(foe[0]).startswith(":")) for foe in foes]
         return foes, [[link[5] for link in self.sumo.lane.getLinks(lane)] for lane in lanes]
 
-    def cars(self, names: list[str]) -> list[Any]:
-        """Of each vehicle: lane, m along it, edges of its route, row of the present one, and factor of limits."""
-        vehicle = self.sumo.vehicle
-        return [
-            (
-                vehicle.getLaneID(name),
-                vehicle.getLanePosition(name),
-                vehicle.getRoute(name),
-                vehicle.getRouteIndex(name),
-                vehicle.getSpeedFactor(name),
-                vehicle.getMaxSpeed(name),
-            )
-            for name in names
-        ]
+    def car(self, name: str) -> list[Any]:
+        """Of a vehicle: lane, m along it, edges of its route, row of the present one, factor of limits, limit m/s."""
+        parts = "LaneID", "LanePosition", "Route", "RouteIndex", "SpeedFactor", "MaxSpeed"
+        return [getattr(self.sumo.vehicle, f"get{part}")(name) for part in parts]
 
-    def lanes(self, names: list[str]) -> list[Any]:
-        """Of each lane: its shape, limit m/s, and (next lane, lane of the junction or "", direction) of each link."""
+    def lane(self, name: str) -> Any:
+        """Of a lane: its shape, limit m/s, and (next lane, lane of the junction or "", direction) of each link."""
         lane = self.sumo.lane
-        return [
-            (
-                lane.getShape(name),
-                lane.getMaxSpeed(name),
-                [(link[0], link[4], link[6]) for link in lane.getLinks(name)],
-            )
-            for name in names
-        ]
+        return (
+            lane.getShape(name),
+            lane.getMaxSpeed(name),
+            [(link[0], link[4], link[6]) for link in lane.getLinks(name)],
+        )
 
     def keep_lanes(self, name: str, edges: list[str]) -> bool:
         """Give a vehicle a route on which it never changes lanes from now on; returns whether SUMO takes it.

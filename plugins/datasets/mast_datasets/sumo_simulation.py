@@ -1,27 +1,219 @@
-"""A simulation by SUMO, in a process of its own: what is there, step by step."""
+"""A simulation by SUMO, in a process of its own: what it is given, and what is there, step by step.
+
+SUMO parses with entities, follows includes, and writes files that its inputs name. So it never opens a user's file: it
+reads copies that hold known elements alone, with the line numbers of their originals.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import difflib
 import importlib.util
+import math
 import os
 import subprocess
 import sys
 import tempfile
 import weakref
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any, BinaryIO, NamedTuple
+from xml.sax.saxutils import quoteattr
+from xml.sax.xmlreader import AttributesImpl
 
 import msgpack
 import numpy as np
 
-from mast_datasets.sumo_inputs import SumoInputs, copy_input
 from mast_datasets.sumo_process import MAX_MESSAGE
+from mast_datasets.xml_files import XmlElement, XmlHandler, read_xml
 from mast_zenoh.arrays.states import Bools, Floats
-from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.errors import ConfigurationError, SceneError, nearest
+
+#: Roots of configurations.
+ROOTS = ("configuration", "sumoConfiguration")
+#: Bytes of one file, unpacked.
+MAX_BYTES = 200_000_000
+_MAX_FILES = 100
+_MAX_VALUE = 200  # characters of an option
+_MAX_DEPTH = 20
+_MAX_SCALE = 1000.0  # of the demand: SUMO prepares each vehicle that waits
+_SECTIONS_LEFT_OUT = ("output", "report", "gui_only")
+_FILES = {"net-file": "net", "route-files": "routes", "additional-files": "additional"}
+#: Options that decide about the traffic.
+_PASSED = """begin scale max-depart-delay route-steps extrapolate-departpos eager-insert sloppy-insert
+random-depart-offset ignore-route-errors ignore-accidents ignore-junction-blocker default.carfollowmodel
+default.speeddev default.emergencydecel time-to-impatience pedestrian.model junction-taz routing-algorithm
+weights.random-factor tls.actuated.jam-threshold tls.actuated.detector-length device.rerouting.probability
+device.rerouting.period device.rerouting.adaptation-interval device.rerouting.adaptation-steps
+step-method.ballistic"""
+#: Options that are switched off by 0 or less, and what they switch on, which is not supported.
+_NOT_SUPPORTED = {
+    "lateral-resolution": "sublanes",
+    "lanechange.duration": "gradual changes of lanes",
+    "default.action-step-length": "steps without an action",
+}
+#: Beginnings of options that the scene sets itself, or that decide about messages and pictures.
+_OWN = ("end", "step-length", "seed", "random", "time-to-teleport", "collision.", "xml-validation", "no-", "verbose")
+#: Elements that are copied, of all kinds of files: SUMO does not tell them apart either.
+_COPIED = """location type restriction edge lane neigh stopOffset junction request connection roundabout prohibition
+tlLogic phase param WAUT wautSwitch wautJunction vTypeDistribution vType routeDistribution route vehicle trip flow stop
+interval carFollowing-Krauss carFollowing-KraussOrig1 carFollowing-PWagner2009 carFollowing-BKerner carFollowing-IDM
+carFollowing-IDMM carFollowing-EIDM carFollowing-Wiedemann carFollowing-W99 carFollowing-ACC carFollowing-CACC person
+personFlow personTrip walk ride busStop trainStop containerStop access parkingArea space taz tazSource tazSink
+variableSpeedSign step rerouter closingReroute closingLaneReroute destProbReroute routeProbReroute parkingAreaReroute"""
+#: Elements that only measure, write or draw.
+_LEFT_OUT = """poly poi inductionLoop e1Detector instantInductionLoop laneAreaDetector e2Detector entryExitDetector
+e3Detector detEntry detExit edgeData laneData edgeRelation timedEvent routeProbe"""
+_OPTIONS, _ELEMENTS, _SILENT = (frozenset(words.split()) for words in (_PASSED, _COPIED, _LEFT_OUT))
+#: Attributes that name files, and those of pictures.
+_NAME_FILES = ("file", "href", "output", "dest")
+_OF_PICTURES = ("imgFile", "osgFile", "color", "guiShape")
+#: Attributes that are numbers; SUMO takes "nan" and "inf" for numbers, too.
+_NUMERIC = """length width height minGap minGapLat maxSpeed maxSpeedLat accel decel emergencyDecel apparentDecel sigma
+tau speedFactor speedDev impatience depart departPos departSpeed arrivalPos arrivalSpeed begin end period probability
+vehsPerHour speed startPos endPos pos duration minDur maxDur offset"""
+_NUMBERS = frozenset(_NUMERIC.split())
+
+
+class SumoInputs(NamedTuple):
+    """A configuration of SUMO.
+
+    path:    of the configuration;  begin_s: s, of the simulation
+    options: that decide about the traffic, by name without dashes
+    net, routes, additional: files, in the order of the configuration
+    """
+
+    path: Path
+    begin_s: float
+    options: Mapping[str, str]
+    net: Path
+    routes: Sequence[Path]
+    additional: Sequence[Path]
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files that SUMO reads copies of."""
+        return (self.net, *self.routes, *self.additional)
+
+
+def read_configuration(path: Path) -> SumoInputs:
+    """The configuration in a file of SUMO (.sumocfg).
+
+    Raises SceneError, with file, line and reason, for a file that is none, and for an option that is not supported.
+    """
+    options: dict[str, str] = {}
+    files: dict[str, list[Path]] = {kind: [] for kind in _FILES.values()}
+    begin_s = 0.0
+    for option in _options(path):
+        name = option.tag
+        if name in _FILES:
+            text = option.attribute("value").text()
+            files[_FILES[name]] += [path.parent / part for part in text.replace(",", " ").split()]
+        elif name in _OPTIONS:
+            value = option.attribute("value")
+            if not 0 < len(value.text()) <= _MAX_VALUE or not value.text().isprintable():
+                value.fail(f"1 to {_MAX_VALUE} characters")
+            if name == "begin":
+                begin_s = value.number(0.0, 1e7)
+            if name == "scale":
+                value.number(0.0, _MAX_SCALE)
+            options[name] = value.text()
+        elif name in _NOT_SUPPORTED:
+            if option.attribute("value").number(-1e7, 1e7) > 0.0:
+                option.fail(f"not supported: {_NOT_SUPPORTED[name]} ({name}), expected a configuration without them")
+        elif not name.startswith(_OWN):
+            misspelt = difflib.get_close_matches(name, _OPTIONS, 1, cutoff=0.8)  # a name far from all is another option
+            option.fail(f"option {name} is not supported{nearest(name, _OPTIONS) if misspelt else ''}")
+    if len(files["net"]) != 1:
+        raise SceneError(f"{path}: found {len(files['net'])} files in net-file, expected one")
+    if sum(map(len, files.values())) > _MAX_FILES:
+        raise SceneError(f"{path}: found more than {_MAX_FILES} files, expected at most as many")
+    return SumoInputs(path, begin_s, options, files["net"][0], files["routes"], files["additional"])
+
+
+def _options(path: Path) -> Iterator[XmlElement]:
+    """The options of a configuration, whether they are in sections or not."""
+    elements = read_xml(path, None, None, 1_000_000)
+    root = next(elements)
+    if root.tag not in ROOTS:
+        root.fail(f"found this root, expected <{'> or <'.join(ROOTS)}>")
+    for element in elements:
+        if "value" in element.attributes:
+            yield element
+        elif element.tag not in _SECTIONS_LEFT_OUT:
+            yield from element.children
+
+
+def copy_input(path: Path, target: BinaryIO) -> None:
+    """Write a copy of a file of a network, of routes or of additional objects, with known elements alone.
+
+    Elements that measure, write or draw are left out, and so are parameters outside of traffic lights. Raises
+    SceneError, with file, line and reason, for a file that is no XML or is too large, and for any other element.
+    """
+    for _ in _ElementCopy(path, target).parse(MAX_BYTES):
+        pass
+    target.flush()
+
+
+def _is_finite(text: str) -> bool:
+    """Whether a text is a finite number, or none, such as "random": then SUMO judges it."""
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return True
+
+
+class _ElementCopy(XmlHandler):
+    """Writes the elements that it is given by a parser, if they are known."""
+
+    def __init__(self, path: Path, target: BinaryIO) -> None:
+        super().__init__(path)
+        self._target = target
+        self._open: list[str] = []
+        self._left_out = 0  # open elements that are left out
+        self._written = 1  # lines
+
+    def startElement(self, tag: str, attrs: AttributesImpl) -> None:
+        attributes: Mapping[str, str] = dict(attrs.items())
+        if self._left_out or tag in _SILENT or (tag == "param" and not self._is_of_lights(attributes)):
+            self._left_out += 1
+            return
+        if len(self._open) >= _MAX_DEPTH:
+            self._fail(tag, f"found more than {_MAX_DEPTH} nested elements, expected at most as many")
+        if not self._open:
+            tag = tag if tag == "net" else "additional"
+            attributes = attributes if tag == "net" else {}
+        elif tag not in _ELEMENTS:
+            self._fail(tag, f"this element is not supported{nearest(tag, _ELEMENTS)}")
+        for name, value in attributes.items():
+            if name in _NAME_FILES:
+                self._fail(tag, f"{name} names a file, expected none: SUMO may not read or write others")
+            if name in _NUMBERS and not _is_finite(value):
+                self._fail(tag, f"{name}: found {value!r}, expected a finite number")
+        self._open.append(tag)
+        lines = self.line - self._written
+        self._written += lines
+        values = [
+            f" {name}={quoteattr(value)}"
+            for name, value in attributes.items()
+            if ":" not in name and not name.startswith("xmlns") and name not in _OF_PICTURES
+        ]
+        self._target.write(("\n" * lines + f"<{tag}{''.join(values)}>").encode())
+
+    def _is_of_lights(self, attributes: Mapping[str, str]) -> bool:
+        """Whether a parameter is one of a traffic light that names no file."""
+        return bool(self._open) and self._open[-1] == "tlLogic" and "file" not in attributes.get("key", "").lower()
+
+    def endElement(self, tag: str) -> None:
+        if self._left_out:
+            self._left_out -= 1
+            return
+        self._target.write(f"</{self._open.pop()}>".encode())
+
+    def _fail(self, tag: str, reason: str) -> None:
+        raise SceneError(f"{self.path}: line {self.line}: <{tag}>: {reason}")
+
 
 INSTALL = "SUMO is not installed, expected pip install 'mast-zenoh[sumo]'"
 _MAX_VEHICLES = 20_000  # at one time; the others wait
@@ -79,8 +271,7 @@ class RightOfWay(NamedTuple):
     signals: list[list[str]]
 
 
-@dataclass(frozen=True, eq=False)
-class Present:
+class Present(NamedTuple):
     """What is there.
 
     names:  of n vehicles and persons
@@ -161,32 +352,32 @@ class SumoSimulation:
         answer = self._ask("step", _STEP_S, steps, [tuple(move) for move in moves], dict(watched or {}))
         for name, (*size, vehicle_class) in answer["shapes"].items():
             if not all(0.0 < length <= _MAX_SIZE_M for length in size):
-                raise SceneError(
-                    f"{self._path}: {name}: found length, width and height {size}, expected more than 0 and at most "
-                    f"{_MAX_SIZE_M:g} m: see its vType"
-                )
+                expected = f"more than 0 and at most {_MAX_SIZE_M:g} m: see its vType"
+                raise SceneError(f"{self._path}: {name}: found length, width and height {size}, expected {expected}")
             self.shapes[name] = VehicleShape(tuple(size), vehicle_class)
         names = [*answer["vehicles"], *answer["persons"]]
         state = np.frombuffer(answer["state"]).reshape(-1, 4)
         person = np.arange(len(names)) >= len(answer["vehicles"])
-        present = Present(names, state[:, :2], state[:, 2], state[:, 3], person, {})
-        for car, (foes, signals) in answer["around"].items():
-            present.around[car] = RightOfWay([Foe(*foe) for foe in foes], signals)
-        self._check(present)
-        return present
+        most = [_MAX_COORDINATE_M, _MAX_COORDINATE_M, np.finfo(float).max, _MAX_SPEED]
+        for row in np.flatnonzero(~(np.abs(state) <= most).all(axis=1)):
+            raise SceneError(
+                f"{self._path}: {names[row]}: found x, y, angle and speed {state[row].tolist()}, expected finite ones, "
+                f"at most {_MAX_COORDINATE_M:g} m and {_MAX_SPEED:g} m/s"
+            )
+        around = {car: _right_of_way(*told) for car, told in answer["around"].items()}
+        return Present(names, state[:, :2], state[:, 2], state[:, 3], person, around)
 
     def around(self, car: str, lanes: Sequence[str]) -> RightOfWay:
         """What a car has to wait for. lanes: at whose ends"""
-        foes, signals = self._ask("around", _STEP_S, car, list(lanes))
-        return RightOfWay([Foe(*foe) for foe in foes], signals)
+        return _right_of_way(*self._ask("around", _STEP_S, car, list(lanes)))
 
-    def cars(self, names: Sequence[str]) -> list[Any]:
-        """Of each vehicle: lane, m along it, edges of its route, row of the present one, factor, greatest speed m/s."""
-        return list(self._ask("cars", _STEP_S, list(names)))
+    def car(self, name: str) -> list[Any]:
+        """Of a vehicle: lane, m along it, edges of its route, row of the present one, factor, greatest speed m/s."""
+        return list(self._ask("car", _STEP_S, name))
 
-    def lanes(self, names: Sequence[str]) -> list[Any]:
-        """Of each lane: shape, limit m/s, and (next lane, lane of the junction or "", direction) of each link."""
-        return list(self._ask("lanes", _STEP_S, list(names)))
+    def lane(self, name: str) -> list[Any]:
+        """Of a lane: shape, limit m/s, and (next lane, lane of the junction or "", direction) of each link."""
+        return list(self._ask("lane", _STEP_S, name))
 
     def keep_lanes(self, car: str, edges: Sequence[str]) -> bool:
         """Give a car a route on which it never changes lanes from now on; returns whether SUMO takes it.
@@ -194,18 +385,6 @@ class SumoSimulation:
         edges: of the route, from the present one or the next one on
         """
         return bool(self._ask("keep_lanes", _STEP_S, car, list(edges)))
-
-    def _check(self, present: Present) -> None:
-        """Raise SceneError for a vehicle that cannot be."""
-        bad = ~(np.abs(present.front) <= _MAX_COORDINATE_M).all(axis=1)
-        bad |= ~(np.abs(present.speed) <= _MAX_SPEED) | ~np.isfinite(present.angle)
-        if bad.any():
-            row = int(bad.argmax())
-            found = *present.front[row].tolist(), float(present.angle[row]), float(present.speed[row])
-            raise SceneError(
-                f"{self._path}: {present.names[row]}: found x, y, angle and speed {found}, expected finite ones, at "
-                f"most {_MAX_COORDINATE_M:g} m and {_MAX_SPEED:g} m/s"
-            )
 
     def _ask(self, method: str, limit_s: int, *arguments: Any) -> Any:
         try:
@@ -236,6 +415,10 @@ class SumoSimulation:
         for descriptor, path in self._places.items():
             text = text.replace(f"'{descriptor}'", f"'{path}'")
         return "".join(filter(str.isprintable, " ".join(text.split())))
+
+
+def _right_of_way(foes: list[Any], signals: list[list[str]]) -> RightOfWay:
+    return RightOfWay([Foe(*foe) for foe in foes], signals)
 
 
 def _end(process: subprocess.Popen[bytes], pipe: Connection) -> int | None:

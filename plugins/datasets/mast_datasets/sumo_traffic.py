@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from mast_datasets.files import find_file
 from mast_datasets.sumo_files import read_buildings, type_of_class
-from mast_datasets.sumo_inputs import SumoInputs, read_configuration
-from mast_datasets.sumo_simulation import Present, SumoSimulation
+from mast_datasets.sumo_simulation import Present, SumoInputs, SumoSimulation, read_configuration
 from mast_datasets.sumo_world import Ride, SumoSurroundings, SumoWorld, Ways
 from mast_datasets.traffic import DataSetScene
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
@@ -66,15 +66,8 @@ class SumoTraffic(DataSetScene):
     sensors: SensorsByAgent | None = None
 
     def __post_init__(self) -> None:
-        self.check(
-            start_s=(0.0, 1e7),
-            radius_m=(20.0, 2000.0),
-            building_height_m=(0.1, 1000.0),
-            rate_hz=(1.0, 20.0),
-            scale=(0.0, 100.0),
-            n_infrastructure=(0, MAX_POLES),
-            n_mobile=(0, 10_000),
-        )
+        self.check(start_s=(0.0, 1e7), radius_m=(20.0, 2000.0), building_height_m=(0.1, 1000.0), rate_hz=(1.0, 20.0))
+        self.check(scale=(0.0, 100.0), n_infrastructure=(0, MAX_POLES), n_mobile=(0, 10_000))
         if 1000.0 * self._steps()[1] % 1.0 > 1e-6:
             expected = "expected one whose frames last whole milliseconds, such as 10"
             raise ConfigurationError(f"SumoTraffic: rate_hz is {self.rate_hz}, {expected}")
@@ -91,14 +84,11 @@ class SumoTraffic(DataSetScene):
 
     def record(self, seed: int, frames: int | None) -> Recording:
         frames = self._frames(frames)
-        world = self._world(seed, frames)
-        try:
+        with contextlib.closing(self._world(seed, frames)) as world:
             moments = [world.moment()]
             for _ in range(frames - 1):
                 world.step({})
                 moments.append(world.moment())
-        finally:
-            world.close()
         whole = world.world_of(moments)
         points = lidar_visibility(whole)
         return make_recording(whole, points, *detect(whole, points, self.detector, seed))
@@ -123,31 +113,23 @@ class SumoTraffic(DataSetScene):
     def _world(self, seed: int, frames: int) -> SumoWorld:
         inputs = read_configuration(self._configuration())
         if self.scale is not None:
-            inputs = replace(inputs, options={**inputs.options, "scale": f"{self.scale:g}"})
+            inputs = inputs._replace(options={**inputs.options, "scale": f"{self.scale:g}"})
         steps, step_s = self._steps()
         number = int(stream(seed, "sumo").integers(2**31 - 1))
         simulation = SumoSimulation(inputs, number, round(step_s * 1000))
         try:
             start_s = inputs.begin_s + _WARM_UP_S if self.start_s is None else self.start_s
             if start_s < inputs.begin_s:
-                raise ConfigurationError(
-                    f"{inputs.path}: start_s is {start_s:g}, expected {inputs.begin_s:g} or more: SUMO begins then"
-                )
+                expected = f"expected {inputs.begin_s:g} or more: SUMO begins then"
+                raise ConfigurationError(f"{inputs.path}: start_s is {start_s:g}, {expected}")
             if start_s > inputs.begin_s:
                 simulation.advance(start_s)
             present = simulation.step(0)
             duration_s = max(_WINDOW_S, frames / self.rate_hz)
             cars, rides = self._choose(simulation, present, duration_s, f"{inputs.path}: at {start_s:g} s")
-            return SumoWorld(
-                simulation,
-                present,
-                cars,
-                rides,
-                self._surroundings(inputs, simulation, present, cars["ego"], rides["ego"]),
-                steps=steps,
-                step_s=step_s,
-                detector=self.detector,
-            )
+            around = self._surroundings(inputs, simulation, present, cars["ego"], rides["ego"])
+            chosen = simulation, present, cars, rides, around
+            return SumoWorld(*chosen, steps=steps, step_s=step_s, detector=self.detector)
         except BaseException:
             simulation.close()
             raise
@@ -174,17 +156,12 @@ class SumoTraffic(DataSetScene):
         names, rides = {"ego": present.names[ego]}, {"ego": ride}
         distance, count = _distance(present, ego), self.n_mobile or 0
         for row in sorted(cars, key=lambda row: (not moves[row], float(distance[row]), row)):
-            if len(names) > count:
-                break
-            ride = ways.keep_lanes(present.names[row], duration_s) if row != ego else None
-            if ride is not None:
-                rides[f"mobile_{len(names)}"] = ride
-                names[f"mobile_{len(names)}"] = present.names[row]
+            name = f"mobile_{len(names)}"
+            if len(names) <= count and row != ego and (ride := ways.keep_lanes(present.names[row], duration_s)):
+                names[name], rides[name] = present.names[row], ride
         if len(names) <= count:
-            raise ConfigurationError(
-                f"{place}: n_mobile is {count}, expected 0 to {len(names) - 1}: so many cars besides the ego drive on "
-                f"for {duration_s:g} s"
-            )
+            most = f"{len(names) - 1}: so many cars besides the ego drive on for {duration_s:g} s"
+            raise ConfigurationError(f"{place}: n_mobile is {count}, expected 0 to {most}")
         return names, rides
 
     def _surroundings(

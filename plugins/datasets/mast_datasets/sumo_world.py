@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -55,7 +56,7 @@ class Ways:
 
     def keep_lanes(self, vehicle: str, duration_s: float) -> Ride | None:
         """Where a vehicle is going that does not change lanes from now on; None: not for so long."""
-        lane, at, route, row, factor, fastest = self._simulation.cars([vehicle])[0]
+        lane, at, route, row, factor, fastest = self._simulation.car(vehicle)
         if not lane:
             return None
         way = way_from(lane, route[row + 1 :], at + max(_WAY_M, duration_s * min(fastest, _FASTEST)), self._lane)
@@ -68,13 +69,12 @@ class Ways:
 
     def _lane(self, name: str) -> SumoLane:
         if name not in self._lanes:
-            shape, limit, links = self._simulation.lanes([name])[0]
+            shape, limit, links = self._simulation.lane(name)
             self._lanes[name] = SumoLane(np.array(shape, np.float64)[:, :2], limit, [tuple(link) for link in links])
         return self._lanes[name]
 
 
-@dataclass(frozen=True, eq=False)
-class SumoSurroundings:
+class SumoSurroundings(NamedTuple):
     """What does not change while the traffic moves.
 
     name:    of the scene;  period_ns: ns, between two frames
@@ -115,10 +115,8 @@ class _Driven:
     def move(self, command: Command, duration_s: float) -> None:
         """Go on for `duration_s` s along a circle, with a constant acceleration until it stands."""
         end = max(self.speed + command.acceleration * duration_s, 0.0)
-        if end == 0.0 and self.speed > 0.0:
-            distance = self.speed**2 / (2.0 * -command.acceleration)
-        else:
-            distance = (self.speed + end) / 2.0 * duration_s
+        stops = end == 0.0 and self.speed > 0.0
+        distance = self.speed**2 / (2.0 * -command.acceleration) if stops else (self.speed + end) / 2.0 * duration_s
         zero = np.zeros(1)
         along, aside, turn = drive(zero, zero, np.array([distance]), np.array([command.curvature]), zero)
         ahead = _direction(self.heading)
@@ -160,13 +158,9 @@ class SumoWorld(SteppedWorld):
         self._priority: dict[str, Priority] = {}  # of cars with a driver
         self._ids: dict[str, int] = {}
         self._names: dict[int, str] = {}
-        self._agents = (
-            *(
-                SceneAgent(car, "mobile", self._id(name), *roof_sensors(simulation.shapes[name].size[2]))
-                for car, name in cars.items()
-            ),
-            *(pole.agent for pole in surroundings.poles),
-        )
+        sensors = {name: roof_sensors(simulation.shapes[name].size[2]) for name in cars.values()}
+        driven = [SceneAgent(car, "mobile", self._id(name), *sensors[name]) for car, name in cars.items()]
+        self._agents = (*driven, *(pole.agent for pole in surroundings.poles))
 
     def close(self) -> None:
         self._simulation.close()
@@ -241,13 +235,10 @@ class SumoWorld(SteppedWorld):
 
     def _row(self, car: str) -> int:
         """The row of a car among what is there now."""
-        try:
-            return self._present.names.index(self._vehicles[car])
-        except ValueError:
-            raise SceneError(
-                f"{self._surroundings.name}: {self._vehicles[car]}, which is the agent {car}, has left the network, "
-                "expected it to drive on; choose another ego or start_s"
-            ) from None
+        if self._vehicles[car] not in self._present.names:
+            place = f"{self._surroundings.name}: {self._vehicles[car]}, which is the agent {car}"
+            raise SceneError(f"{place}, has left the network, expected it to drive on; choose another ego or start_s")
+        return self._present.names.index(self._vehicles[car])
 
     def moment(self) -> TrafficMoment:
         """What is there in the present frame, around the agents."""
@@ -262,21 +253,14 @@ class SumoWorld(SteppedWorld):
         middle = middle - surroundings.origin
         own = np.array(list(rows.values()))
         places = [*middle[own], *(pole.position[0, :2] for pole in surroundings.poles)]
-        near = np.zeros(len(middle), bool)
-        for place in places:
-            near |= np.hypot(*(middle - place).T) <= surroundings.radius_m
+        near = np.any([np.hypot(*(middle - place).T) <= surroundings.radius_m for place in places], axis=0)
         people = present.person.tolist()
         named = zip(present.names, people, strict=True)
         ids = np.array([self._id(f"person:{name}" if person else name) for name, person in named], np.int64)
-        boxes = SceneBoxes(
-            frame=np.zeros(len(ids), np.int64),
-            id=ids,
-            position=np.column_stack([middle, size[:, 2] / 2.0]),
-            size=size,
-            yaw=np.asarray(wrap_angle(yaw)),
-            class_id=np.array([type_of_class(shape.vehicle_class).class_id for shape in shapes], np.uint8),
-            velocity=np.column_stack([speed[:, None] * _direction(yaw), np.zeros(len(yaw))]),
-        )
+        place = np.column_stack([middle, size[:, 2] / 2.0])
+        class_id = np.array([type_of_class(shape.vehicle_class).class_id for shape in shapes], np.uint8)
+        velocity = np.column_stack([speed[:, None] * _direction(yaw), np.zeros(len(yaw))])
+        boxes = SceneBoxes(np.zeros(len(ids), np.int64), ids, place, size, wrap_angle(yaw), class_id, velocity)
         order = np.flatnonzero(near)
         boxes = boxes.select(order[np.argsort(ids[order])])
         return TrafficMoment(boxes, np.searchsorted(boxes.id, ids[own]))
@@ -287,10 +271,9 @@ class SumoWorld(SteppedWorld):
         It does not depend on what happened before, so it is the same in the run without an attack.
         """
         if name not in self._ids:
-            number = (
-                int(name) if name.isascii() and name.isdigit() and len(name) < 10 and str(int(name)) == name else -1
-            )
-            if number < 0:
+            if re.fullmatch("0|[1-9][0-9]{0,8}", name):
+                number = int(name)
+            else:
                 digest = hashlib.blake2b(name.encode(errors="surrogatepass"), digest_size=8).digest()
                 number = _NAMED + int.from_bytes(digest) % _NAMED
             while number in self._names:
@@ -300,42 +283,34 @@ class SumoWorld(SteppedWorld):
 
     def world_of(self, moments: Sequence[TrafficMoment]) -> World:
         """The world of some frames, one after the other."""
-        poles, frames = self._surroundings.poles, len(moments)
+        around, frames = self._surroundings, len(moments)
         columns = ("id", "position", "velocity", "size", "yaw", "class_id")
         truth = {name: np.concatenate([getattr(moment.boxes, name) for moment in moments]) for name in columns}
         cars = [boxes.select(rows) for boxes, rows in moments]
         middle = np.stack([each.position - each.size * np.array([[0.0, 0.0, 0.5]]) for each in cars])
-        yaw = np.stack([each.yaw for each in cars])
-        times_ns = np.arange(frames, dtype=np.int64) * self._surroundings.period_ns
-        name, period_ns = self._surroundings.name, self._surroundings.period_ns
-        agents, rigs = equip(name, self._agents, self._surroundings.sensors, times_ns, period_ns)
+        turns = np.array([[rotation_from_yaw(float(yaw)) for yaw in each.yaw] for each in cars])
+        velocity = np.stack([each.velocity for each in cars])
+        poles = [(pole.position, pole.rotation, np.zeros((1, 3))) for pole in around.poles]
+        position, rotation, velocity = (
+            np.concatenate([own, *(np.repeat(part[None, :1], frames, axis=0) for part in parts)], axis=1)
+            for own, *parts in zip((middle, turns, velocity), *poles, strict=True)
+        )
+        times_ns = np.arange(frames, dtype=np.int64) * around.period_ns
+        agents, rigs = equip(around.name, self._agents, around.sensors, times_ns, around.period_ns)
         return World(
-            name=name,
-            agents=agents,
-            period_ns=period_ns,
-            times_ns=times_ns,
-            truth=truth_states(truth),
-            truth_start=np.cumsum([0, *(len(moment.boxes) for moment in moments)]),
-            agent_position=np.concatenate([middle, *(_repeated(pole.position, frames) for pole in poles)], axis=1),
-            agent_rotation=np.concatenate(
-                [
-                    np.array([[rotation_from_yaw(float(angle)) for angle in frame] for frame in yaw]),
-                    *(_repeated(pole.rotation, frames) for pole in poles),
-                ],
-                axis=1,
-            ),
-            agent_velocity=np.concatenate(
-                [np.stack([each.velocity for each in cars]), np.zeros((frames, len(poles), 3))], axis=1
-            ),
-            buildings=self._surroundings.buildings,
-            building_height=self._surroundings.building_height,
+            around.name,
+            agents,
+            around.period_ns,
+            times_ns,
+            truth_states(truth),
+            np.cumsum([0, *(len(moment.boxes) for moment in moments)]),
+            position,
+            rotation,
+            velocity,
+            buildings=around.buildings,
+            building_height=around.building_height,
             rigs=rigs,
         )
-
-
-def _repeated(values: Floats, frames: int) -> Floats:
-    """(frames, 1, …), of the first frame of a pole that stands."""
-    return np.repeat(values[None, :1], frames, axis=0)
 
 
 def _direction(angle: Floats | float) -> Floats:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,18 +40,32 @@ def check_times(place: object, names: Sequence[object], times_ns: Ints, max_gap_
 
     place: of the times, for the message; names: (F,) of the frames; times_ns: (F,); parameter: that sets `max_gap_s`
     """
-    step = np.diff(times_ns) / 1e9
-    late = np.flatnonzero(step <= 0)
-    if len(late):
-        before, after = names[late[0]], names[late[0] + 1]
-        raise SceneError(f"{place}: frame {after}: time is not later than that of frame {before} before it")
-    gaps = np.flatnonzero(step > max_gap_s)
-    if len(gaps):
-        before, after = names[gaps[0]], names[gaps[0] + 1]
-        raise SceneError(
-            f"{place}: frame {after}: found a gap of {step[gaps[0]]:.3f} s after frame {before}, "
-            f"expected at most {max_gap_s:g} s{parameter and f' ({parameter})'}"
-        )
+    for step, before, after in zip((np.diff(times_ns) / 1e9).tolist(), names[:-1], names[1:], strict=True):
+        if step <= 0:
+            raise SceneError(f"{place}: frame {after}: time is not later than that of frame {before} before it")
+        if step > max_gap_s:
+            raise SceneError(
+                f"{place}: frame {after}: found a gap of {step:.3f} s after frame {before}, "
+                f"expected at most {max_gap_s:g} s{parameter and f' ({parameter})'}"
+            )
+
+
+def check_steps(place: object, numbers: Sequence[int], hint: str = "") -> None:
+    """Raise SceneError unless numbers of frames are the same step apart. place: of the frames; hint: what to do"""
+    step = min(np.diff(numbers), default=1)
+    for before, after in itertools.pairwise(numbers):
+        if after - before != step:
+            raise SceneError(f"{place}: frame {before} is followed by {after}, expected {before + step}{hint}")
+
+
+def ground_below(boxes: SceneBoxes, own: int, position: Floats) -> tuple[Floats, SceneBoxes]:
+    """The place (3,) m on the ground below a path (F, 3) in the first frame, and the boxes with this as the origin.
+
+    own: id of the object whose underside is on the ground
+    """
+    row = boxes.rows_of(own)[0]
+    origin = np.append(position[0, :2], boxes.position[row, 2] - boxes.size[row, 2] / 2)
+    return origin, replace(boxes, position=boxes.position - origin)
 
 
 def closed_outline(corners: Floats, fail: Callable[[str], NoReturn]) -> Floats:
@@ -134,11 +149,9 @@ class TrafficScene(DataSetScene):
         frames, count = len(ego.position), self.n_mobile or 0
         others = vehicles_throughout(boxes, frames)
         others = others[others != ego.agent.object_id]
-        if count > len(others):
-            raise ConfigurationError(
-                f"{path}: n_mobile is {count}, expected 0 to {len(others)}: {len(others)} vehicles besides the ego "
-                f"have a box in all {frames} frames"
-            )
+        if count > (most := len(others)):
+            expected = f"0 to {most}: {most} vehicles besides the ego have a box in all {frames} frames"
+            raise ConfigurationError(f"{path}: n_mobile is {count}, expected {expected}")
         own = boxes.position[boxes.rows_of(ego.agent.object_id)]
         distance = [np.linalg.norm(boxes.position[boxes.rows_of(number)] - own, axis=1).mean() for number in others]
         nearest = others[np.argsort(distance, kind="stable")][:count]
@@ -150,6 +163,14 @@ class TrafficScene(DataSetScene):
         ]
 
 
+def boxes_of(rows: Sequence[tuple[Any, ...]]) -> SceneBoxes:
+    """Boxes of rows: frame, id, position (3,) m, size (3,) m, yaw rad, class, and perhaps velocity (3,) m/s."""
+    kinds = (np.int64, np.int64, np.float64, np.float64, np.float64, np.uint8, np.float64)
+    shapes = (-1, -1, (-1, 3), (-1, 3), -1, -1, (-1, 3))
+    columns = zip(zip(*rows, strict=True) if rows else [()] * 6, kinds, shapes, strict=False)
+    return SceneBoxes(*(np.array(values, kind).reshape(shape) for values, kind, shape in columns))
+
+
 class Labels:
     """Boxes in the world frame, of tracks that the data set names by text.
 
@@ -159,7 +180,7 @@ class Labels:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.tracks: list[str] = []
-        self._rows: list[tuple[int, Floats, Floats, float, int]] = []
+        self._rows: list[tuple[int, str, Floats, Floats, float, int]] = []
 
     def add(self, frame: int, track: str, position: Floats, size: Floats, yaw: float, class_id: int) -> None:
         """Add a box. Raises SceneError if there are too many.
@@ -169,7 +190,7 @@ class Labels:
         if len(self.tracks) >= MAX_BOXES:
             raise SceneError(f"{self._path}: found more than {MAX_BOXES} boxes, expected at most that many")
         self.tracks.append(track)
-        self._rows.append((frame, position, size, yaw, class_id))
+        self._rows.append((frame, track, position, size, yaw, class_id))
 
     def boxes(self, others: Iterable[str] = ()) -> tuple[SceneBoxes, dict[str, int]]:
         """All boxes, and the id of each track. others: tracks without boxes that need an id, too
@@ -181,15 +202,7 @@ class Labels:
         numbers = [int(name) for name in names if len(name) <= 15 and name.isascii() and name.isdigit()]
         keep = len(numbers) == len(names) == len(set(numbers))
         ids = dict(zip(names, numbers if keep else range(1, len(names) + 1), strict=True))
-        frame, position, size, yaw, class_id = zip(*self._rows, strict=True) if self._rows else [()] * 5
-        return SceneBoxes(
-            frame=np.array(frame, np.int64),
-            id=np.array([ids[track] for track in self.tracks], np.int64),
-            position=np.array(position).reshape(-1, 3),
-            size=np.array(size).reshape(-1, 3),
-            yaw=np.array(yaw, np.float64),
-            class_id=np.array(class_id, np.uint8),
-        ), ids
+        return boxes_of([(frame, ids[track], *row) for frame, track, *row in self._rows]), ids
 
 
 #: Heights m of data without any, by class: the defaults of SUMO's vehicle classes; unknown objects as cars.
@@ -214,17 +227,11 @@ def busiest_vehicle(boxes: SceneBoxes, frames: int, path: Path) -> int:
             f"{path}: found no car, truck or bus with a box in all {frames} frames, expected one for the ego; "
             "choose another start_s or a shorter duration_s"
         )
-    company = np.zeros(len(candidates), np.int64)
-    travelled = np.zeros(len(candidates))
-    previous: Floats | None = None
+    company, places = np.zeros(len(candidates), np.int64), []
     for rows in boxes.rows_by_frame(frames):
-        tree = cKDTree(boxes.position[rows])
-        own = rows[np.searchsorted(boxes.id[rows], candidates)]
-        position = boxes.position[own]
-        company += tree.query_ball_point(position, _NEAR_M, return_length=True)
-        if previous is not None:
-            travelled += np.linalg.norm(position - previous, axis=1)
-        previous = position
+        places.append(boxes.position[rows[np.searchsorted(boxes.id[rows], candidates)]])
+        company += cKDTree(boxes.position[rows]).query_ball_point(places[-1], _NEAR_M, return_length=True)
+    travelled = np.linalg.norm(np.diff(places, axis=0), axis=2).sum(axis=0)
     company[travelled < _MOVING * travelled.max()] = 0
     return int(candidates[company.argmax()])
 
@@ -233,9 +240,7 @@ def near_route(boxes: SceneBoxes, route: Floats, radius: float) -> Bools:
     """(N,) whether each box is within `radius` m of any position of a route (F, 2) m."""
     from scipy.spatial import cKDTree
 
-    distance, _ = cKDTree(route).query(boxes.position[:, :2], distance_upper_bound=radius)
-    near: Bools = np.isfinite(distance)
-    return near
+    return np.isfinite(cKDTree(route).query(boxes.position[:, :2], distance_upper_bound=radius)[0])
 
 
 def ego_in_traffic(
@@ -265,10 +270,9 @@ def listed_returns(
 
     All other boxes have no returns.
     """
-    points = np.zeros(len(boxes), np.int32)
-    sensor = path.agent.sensor
+    points, sensor = np.zeros(len(boxes), np.int32), path.agent.sensor
     for frame, rows in enumerate(boxes.rows_by_frame(len(path.position))[:frames]):
-        own = np.flatnonzero(boxes.id[rows] == path.agent.object_id) if path.agent.object_id >= 0 else rows[:0]
+        own = np.flatnonzero((boxes.id[rows] == path.agent.object_id) & (path.agent.object_id >= 0))
         pose = sensor_pose(path.position[frame], path.rotation[frame], sensor.mount_position, sensor.mount_rotation)
         shapes = boxes.position[rows], boxes.size[rows], boxes.yaw[rows]
         points[rows] = lidar_points(sensor, *pose, *shapes, None, int(own[0]) if len(own) else -1)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from msgspec import Meta
 
 from mast_datasets.files import Coordinate, Element, Side, read_json, read_listed_pose
-from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, classes_of
+from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, classes_of, ground_below
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_quaternion
-from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.making.virtual_agents import standing
@@ -34,60 +35,43 @@ class Coordinates:
 
     def __init__(self, openlabel: Element, properties: Element) -> None:
         self._element = properties
-        self._parents: dict[str, tuple[str, Element]] = {}
-        self._names: dict[str, None] = {}
+        self._parents: dict[str, tuple[str, Element]] = {}  # "": it is a root
         systems, transforms = openlabel.get("coordinate_systems"), properties.get("transforms")
         for name, system in systems.members() if systems else ():
-            self._names[name] = None
             parent = system.get("parent")
-            if parent is not None and parent.text():
-                self._add(name, parent.text(), system)
+            self._add(name, parent.text() if parent else "", system)
         for name, transform in transforms.members() if transforms else ():
-            source, target = _ends(name, transform)
-            self._add(source, target, transform)
+            source, target = transform.get("src"), transform.get("dst")
+            ends = name.split(_BETWEEN) if source is None or target is None else [source.text(), target.text()]
+            if len(ends) != 2:
+                transform.fail("src and dst, or a name SRC_to_DST")
+            self._add(ends[0], ends[1], transform)
 
     def _add(self, name: str, parent: str, element: Element) -> None:
         self._parents[name] = parent, element
-        self._names |= {name: None, parent: None}
+        if parent:
+            self._parents.setdefault(parent, ("", element))
 
     def locate(self, name: str) -> tuple[str, Floats, Floats]:
         """The root above a coordinate system, and its position (3,) m and rotation (3, 3) there."""
-        if name not in self._names:
-            known = list(self._names)
-            raise SceneError(
-                f"{self._element.path}: {self._element.place}: found no coordinate system {name!r}, "
-                f"expected one in coordinate_systems or transforms{nearest(name, known)}"
-            )
+        if name not in self._parents:
+            expected = f"expected one in coordinate_systems or transforms{nearest(name, list(self._parents))}"
+            place = f"{self._element.path}: {self._element.place}"
+            raise SceneError(f"{place}: found no coordinate system {name!r}, {expected}")
         position, rotation = np.zeros(3), np.eye(3)
         current, visited = name, {name}
-        while current in self._parents:
-            current, element = self._parents[current]
+        while (above := self._parents[current])[0]:
+            current, element = above
             if current in visited:
                 raise SceneError(
                     f"{element.path}: {element.place}: found a parent {current!r} that is below {name!r} itself, "
                     "expected a tree of coordinate systems"
                 )
             visited.add(current)
-            offset, turn = read_listed_pose(_matrix(element))
+            matrix = (element.get("transform_src_to_dst") or element["pose_wrt_parent"])["matrix4x4"]
+            offset, turn = read_listed_pose(matrix)
             position, rotation = offset + turn @ position, turn @ rotation
         return current, position, rotation
-
-
-def _ends(name: str, transform: Element) -> tuple[str, str]:
-    """Source and target of a transform: its `src` and `dst`, otherwise from its name SRC_to_DST."""
-    source, target = transform.get("src"), transform.get("dst")
-    if source is not None and target is not None:
-        return source.text(), target.text()
-    ends = name.split(_BETWEEN)
-    if len(ends) != 2:
-        transform.fail("src and dst, or a name SRC_to_DST")
-    return ends[0], ends[1]
-
-
-def _matrix(element: Element) -> Element:
-    """The matrix of a transform, or of a coordinate system's pose."""
-    transform = element.get("transform_src_to_dst")
-    return (transform or element["pose_wrt_parent"])["matrix4x4"]
 
 
 _Time = Annotated[float, Meta(ge=0, le=9e9)]  # s, to the year 2255; more nanoseconds are no 64 bit number
@@ -104,8 +88,7 @@ CLASS_OF_TYPE = classes_of(
 )
 
 
-@dataclass(frozen=True, eq=False)
-class LabelledFrame:
+class LabelledFrame(NamedTuple):
     """A labelled frame.
 
     properties: where it is in the file, for messages; objects: of the frame, by track, and of the whole file
@@ -122,7 +105,7 @@ class LabelledFrame:
 
         row: of the frame; system: coordinate system of labels that name none; root: the one above all
         """
-        located: dict[str, tuple[Floats, Floats]] = {}
+        located: dict[str, tuple[str, Floats, Floats]] = {}
         for track, element in self.objects.members() if self.objects else ():
             data = element["object_data"]
             cuboid = data["cuboid"]
@@ -131,13 +114,15 @@ class LabelledFrame:
             named = next((place for place in (cuboid, data, element) if place.get("coordinate_system")), None)
             name = named["coordinate_system"].text() if named else system
             if name not in located:
-                found, position, rotation = self.coordinates.locate(name)
-                self.check_root(name, found, root)
-                located[name] = position, rotation
-            position, rotation = located[name]
+                located[name] = self.coordinates.locate(name)
+                self.check_root(name, located[name][0], root)
+            _, position, rotation = located[name]
             middle, turn, size = _cuboid(cuboid["val"])
-            yaw = float(heading(rotation @ turn))
-            labels.add(row, track, position + rotation @ middle, size, yaw, self._class_of(track, data))
+            # The type of an object is with it, as in TUMTraf, or in the file's objects, as in the standard.
+            described = self.described.get(track) if self.described else None
+            kind = data["type"] if described is None or data.get("type") else described["type"]
+            class_id = CLASS_OF_TYPE.get(kind.text().lower(), CLASS_INDEX["unknown"])
+            labels.add(row, track, position + rotation @ middle, size, float(heading(rotation @ turn)), class_id)
 
     def check_root(self, name: str, found: str, root: str) -> None:
         """Raise SceneError unless the root found above a coordinate system is that of the first frame, and stands."""
@@ -146,12 +131,6 @@ class LabelledFrame:
             raise SceneError(f"{place}: the root above {name} is {found!r}, expected {root!r} as in the first frame")
         if root.startswith("vehicle"):
             raise SceneError(f"{place}: the root above {name} is {root!r}, which moves: expected one that does not")
-
-    def _class_of(self, track: str, data: Element) -> int:
-        """The class of an object; its type is with it, as in TUMTraf, or in the file's objects, as in the standard."""
-        described = self.described.get(track) if self.described else None
-        kind = data["type"] if described is None or data.get("type") else described["type"]
-        return CLASS_OF_TYPE.get(kind.text().lower(), CLASS_INDEX["unknown"])
 
 
 def find_labels(path: Path) -> Path:
@@ -170,14 +149,11 @@ def read_frames(folder: Path) -> list[LabelledFrame]:
     Raises SceneError, also if their times do not ascend.
     """
     files = sorted(folder.glob("*.json"))
-    frames: list[LabelledFrame] = []
-    for file in files:
-        for frame in _frames(file):
-            if frames and frame.time_ns <= frames[-1].time_ns:
-                frame.properties["timestamp"].fail(
-                    f"a time later than {frames[-1].time_ns / 1e9} s in {frames[-1].properties.path.name}"
-                )
-            frames.append(frame)
+    frames = [frame for file in files for frame in _frames(file)]
+    for before, frame in itertools.pairwise(frames):
+        if frame.time_ns <= before.time_ns:
+            expected = f"a time later than {before.time_ns / 1e9} s in {before.properties.path.name}"
+            frame.properties["timestamp"].fail(expected)
     if not frames:
         raise SceneError(f"{folder}: found no frames in {len(files)} label files, expected at least one")
     return frames
@@ -185,9 +161,9 @@ def read_frames(folder: Path) -> list[LabelledFrame]:
 
 def _frames(file: Path) -> Iterator[LabelledFrame]:
     openlabel = read_json(file)["openlabel"]
-    frames = openlabel["frames"].members()
     numbered = [
-        (Element(key.lstrip("0") or "0", file, "$.openlabel.frames").read(_Number), frame) for key, frame in frames
+        (Element(key.lstrip("0") or "0", file, "$.openlabel.frames").read(_Number), frame)
+        for key, frame in openlabel["frames"].members()
     ]
     for _, frame in sorted(numbered, key=lambda item: item[0]):
         properties = frame["frame_properties"]
@@ -219,7 +195,9 @@ def own_object(boxes: SceneBoxes, position: Floats, rotation: Floats) -> tuple[S
     The car is the one track whose box is below the lidar in every frame. If there is none, boxes below the lidar are
     left out, and boxes of CAR_SIZE take their place.
     """
-    below = _below(boxes, position[boxes.frame])
+    offset, half = position[boxes.frame] - boxes.position, boxes.size / 2
+    below = (np.abs(along_and_across(offset, boxes.yaw)) <= half[:, :2]).all(axis=1)
+    below &= (offset[:, 2] >= -half[:, 2]) & (offset[:, 2] <= half[:, 2] + _MAX_ABOVE_ROOF_M)
     ids, count = np.unique(boxes.id[below], return_counts=True)
     throughout = ids[count == len(position)]
     if len(throughout) == 1:
@@ -228,14 +206,6 @@ def own_object(boxes: SceneBoxes, position: Floats, rotation: Floats) -> tuple[S
     middle = position - [0.0, 0.0, _ABOVE_ROOF_M + CAR_SIZE[2] / 2]
     added = SceneBoxes.throughout(own, middle, CAR_SIZE, heading(rotation), CLASS_INDEX["car"])
     return SceneBoxes.concatenate([boxes.select(~below), added]), own
-
-
-def _below(boxes: SceneBoxes, lidar: Floats) -> Bools:
-    """(N,) whether a box is below a lidar. lidar: (N, 3) m, its position in the frame of each box"""
-    offset = lidar - boxes.position
-    half = boxes.size / 2
-    below: Bools = np.asarray((np.abs(along_and_across(offset, boxes.yaw)) <= half[:, :2]).all(axis=1))
-    return below & (offset[:, 2] >= -half[:, 2]) & (offset[:, 2] <= half[:, 2] + _MAX_ABOVE_ROOF_M)
 
 
 #: Models of the lidars, which the labels do not describe.
@@ -294,7 +264,8 @@ class TUMTrafV2X(DataSetScene):
         for name in cars:
             boxes, own = own_object(boxes, *poses[name])
             objects.append(own)
-        boxes, poses = _shift(boxes, poses, cars[0], objects[0])
+        first, boxes = ground_below(boxes, objects[0], poses[cars[0]][0])
+        poses = {name: (position - first, rotation) for name, (position, rotation) in poses.items()}
         paths = [
             _car("ego" if k == 0 else f"mobile_{k}", boxes, objects[k], *poses[name]) for k, name in enumerate(playing)
         ]
@@ -311,8 +282,7 @@ class TUMTrafV2X(DataSetScene):
         lidars = _lidars_of(folder) if self.lidars is None else self.lidars
         if len(set(lidars)) != len(lidars):
             raise ConfigurationError(f"{self.path}: lidars are {list(lidars)}, expected each of them once")
-        cars = [name for name in lidars if name.startswith("vehicle")]
-        poles = [name for name in lidars if not name.startswith("vehicle")]
+        cars, poles = ([name for name in lidars if name.startswith("vehicle") == moves] for moves in (True, False))
         if not cars:
             raise SceneError(f"{folder}: found the lidars {list(lidars)}, expected at least one of a car, vehicle…")
         return cars, *self.playing(cars, poles)
@@ -324,9 +294,9 @@ class TUMTrafV2X(DataSetScene):
         count = len(starts) - 1
         if self.sequence is None and count > 1:
             before, after = frames[starts[1] - 1], frames[starts[1]]
+            gap = f"a gap of {(after.time_ns - before.time_ns) / 1e9:g} s before {after.properties.path.name}"
             raise SceneError(
-                f"{folder}: found {count} sequences, the second after a gap of "
-                f"{(after.time_ns - before.time_ns) / 1e9:g} s before {after.properties.path.name}, expected one: "
+                f"{folder}: found {count} sequences, the second after {gap}, expected one: "
                 f"choose one with sequence=0 to {count - 1}, or allow longer gaps with max_gap_s"
             )
         number = self.sequence or 0
@@ -350,36 +320,24 @@ def _poses(frames: list[LabelledFrame], names: list[str]) -> tuple[str, dict[str
     root, poses = frames[0].coordinates.locate(names[0])[0], {}
     for name in names:
         located = [frame.coordinates.locate(name) for frame in frames]
-        for frame, (found, _, _) in zip(frames, located, strict=True):
+        _, first, facing = located[0]
+        for frame, (found, position, rotation) in zip(frames, located, strict=True):
             frame.check_root(name, found, root)
-        poses[name] = np.stack([position for _, position, _ in located]), np.stack([turn for _, _, turn in located])
-        if not name.startswith("vehicle"):
-            _check_still(frames, name, *poses[name])
+            drift = max(np.abs(position - first).max(), np.abs(rotation - facing).max())
+            if drift > _MAX_DRIFT and not name.startswith("vehicle"):
+                raise SceneError(
+                    f"{frame.properties.path}: {frame.properties.place}: {name} is at "
+                    f"{np.round(position, 2).tolist()}, expected {np.round(first, 2).tolist()} as in the first frame: "
+                    "poles do not move"
+                )
+        _, *columns = zip(*located, strict=True)
+        poses[name] = np.array(columns[0]), np.array(columns[1])
     return root, poses
-
-
-def _check_still(frames: list[LabelledFrame], name: str, position: Floats, rotation: Floats) -> None:
-    drift = np.maximum(np.abs(position - position[0]).max(axis=1), np.abs(rotation - rotation[0]).max(axis=(1, 2)))
-    moved = np.flatnonzero(drift > _MAX_DRIFT)
-    if len(moved):
-        properties = frames[moved[0]].properties
-        raise SceneError(
-            f"{properties.path}: {properties.place}: {name} is at {np.round(position[moved[0]], 2).tolist()}, expected "
-            f"{np.round(position[0], 2).tolist()} as in the first frame: poles do not move"
-        )
-
-
-def _shift(boxes: SceneBoxes, poses: dict[str, Poses], ego: str, own: int) -> tuple[SceneBoxes, dict[str, Poses]]:
-    """Boxes and poses with the origin on the ground below the ego's lidar in the first frame."""
-    row = np.flatnonzero((boxes.id == own) & (boxes.frame == 0))[0]
-    origin = np.append(poses[ego][0][0, :2], boxes.position[row, 2] - boxes.size[row, 2] / 2)
-    shifted = replace(boxes, position=boxes.position - origin)
-    return shifted, {name: (position - origin, rotation) for name, (position, rotation) in poses.items()}
 
 
 def _car(name: str, boxes: SceneBoxes, own: int, position: Floats, rotation: Floats) -> AgentPath:
     """A car; its origin is below the lidar, at the height of its underside in the first frame."""
-    row = np.flatnonzero((boxes.id == own) & (boxes.frame == 0))[0]
+    row = boxes.rows_of(own)[0]
     mount = np.array([0.0, 0.0, position[0, 2] - boxes.position[row, 2] + boxes.size[row, 2] / 2])
     sensor = replace(_CAR_LIDAR, mount_position=mount)
     return AgentPath(SceneAgent(name, "mobile", own, sensor, Camera(mount)), position - rotation @ mount, rotation)

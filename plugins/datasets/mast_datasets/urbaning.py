@@ -8,15 +8,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from msgspec import Meta, Struct
 
 from mast_datasets.files import Element, Name, Point, Size, choose_name, read_json
-from mast_datasets.traffic import DataSetScene, Labels, check_times, classes_of
+from mast_datasets.traffic import DataSetScene, Labels, check_times, classes_of, ground_below
 from mast_zenoh.arrays.geometry import heading
-from mast_zenoh.arrays.states import CLASS_INDEX, Floats
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenes.detection_tables import read_text
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
@@ -35,8 +35,7 @@ _STATE_FILE = re.compile(r"([0-9]{1,15})\.json")
 _MILLISECONDS = re.compile(r"[0-9]{1,15}(\.0*)?")
 
 
-@dataclass(frozen=True)
-class Files:
+class Files(NamedTuple):
     """Paths of a sequence: its folder, its labels, and two files about the vehicles of all sequences."""
 
     folder: Path
@@ -61,16 +60,11 @@ def find_sequence(path: Path, name: str | None) -> Files:
         root = path
         names = (file.parent.name for file in (root / "dataset").glob(f"*/{TIMESYNC}"))
         folder = root / "dataset" / choose_name(root / "dataset" / "*" / TIMESYNC, "sequence", names, name)
-    return Files(
-        folder,
-        root / "labels" / f"{folder.name}.json",
-        root / "labels_av_track_ids.json",
-        root / "av_vehicle_data.json",
-    )
+    beside = f"labels/{folder.name}.json", "labels_av_track_ids.json", "av_vehicle_data.json"
+    return Files(folder, *(root / file for file in beside))
 
 
-@dataclass(frozen=True)
-class Timesync:
+class Timesync(NamedTuple):
     """The F frames of a sequence. times_ms: of each frame; states: F file names for each vehicle; lidars: of poles."""
 
     times_ms: list[int]
@@ -111,14 +105,14 @@ def read_states(folder: Path, vehicle: str, timesync: Timesync) -> tuple[Floats,
     """Positions (F, 3) m and rotations (F, 3, 3) of a vehicle's body in the global frame, from gTv."""
     poses = []
     for frame, (cell, time) in enumerate(zip(timesync.states[vehicle], timesync.times_ms, strict=True)):
-        place = f"{folder / TIMESYNC}: row {vehicle}_state, frame {frame}"
         match = _STATE_FILE.fullmatch(cell.strip())
-        if match is None:
-            raise SceneError(f"{place}: found {cell[:80]!r}, expected a file name <milliseconds>.json")
-        if abs(int(match[1]) - time) > _MAX_STATE_OFFSET_MS:
-            raise SceneError(f"{place}: found {cell!r}, expected a time within {_MAX_STATE_OFFSET_MS} ms of {time}")
+        if match is None or abs(int(match[1]) - time) > _MAX_STATE_OFFSET_MS:
+            expected = f"a file name <milliseconds>.json, with a time within {_MAX_STATE_OFFSET_MS} ms of {time}"
+            place = f"{folder / TIMESYNC}: row {vehicle}_state, frame {frame}"
+            raise SceneError(f"{place}: found {cell[:80]!r}, expected {expected}")
         poses.append(read_json(folder / f"{vehicle}_state" / match[0])["gTv"].rigid())
-    return np.stack([position for position, _ in poses]), np.stack([rotation for _, rotation in poses])
+    position, rotation = map(np.array, zip(*poses, strict=True))
+    return position, rotation
 
 
 def read_vehicle_lidar(path: Path, vehicle: str) -> tuple[Floats, Floats]:
@@ -138,11 +132,8 @@ def read_pole_lidar(path: Path, name: str) -> tuple[Floats, Floats]:
 def read_av_tracks(files: Files, vehicles: list[str]) -> dict[str, str]:
     """The tracks that are vehicles with a lidar, by vehicle; without those that have none."""
     sequence = read_json(files.av_tracks)[files.folder.name]
-    tracks: dict[str, str] = {}
-    for vehicle in vehicles:
-        track = sequence.get(vehicle)
-        if track is not None:
-            tracks[vehicle] = str(track.read(Name))
+    named = {vehicle: sequence.get(vehicle) for vehicle in vehicles}
+    tracks = {vehicle: str(track.read(Name)) for vehicle, track in named.items() if track}
     if len(set(tracks.values())) != len(tracks):
         sequence.fail("a different track for each vehicle")
     return tracks
@@ -150,10 +141,8 @@ def read_av_tracks(files: Files, vehicles: list[str]) -> dict[str, str]:
 
 def read_av_size(files: Files, vehicle: str) -> Floats | None:
     """(3,) m l w h of a vehicle with a lidar, from av_vehicle_data.json; None if it is not there."""
-    if not files.av_data.is_file():
-        return None
-    data = read_json(files.av_data).get(vehicle)
-    return None if data is None else np.array(data["size"].read(Size))
+    data = read_json(files.av_data).get(vehicle) if files.av_data.is_file() else None
+    return np.array(data["size"].read(Size)) if data else None
 
 
 def _milliseconds(path: Path, frame: int, cell: str) -> int:
@@ -191,8 +180,15 @@ class _Labelled(Struct):
     dimensions: list[Size]
 
 
-#: The boxes of a track, without an id, and where it is in its file.
-Track = tuple[SceneBoxes, Element]
+class Track(NamedTuple):
+    """The n boxes of a track, with the rows of their frames, and where it is in its file."""
+
+    frame: Ints
+    position: Floats
+    size: Floats
+    yaw: Floats
+    class_id: int
+    element: Element
 
 
 def read_tracks(path: Path, times_ms: list[int]) -> dict[str, Track]:
@@ -206,7 +202,7 @@ def read_tracks(path: Path, times_ms: list[int]) -> dict[str, Track]:
         track: _Labelled = element.read(_Labelled)
         if str(track.track_id) in tracks:
             element["track_id"].fail("an id that no other track has")
-        tracks[str(track.track_id)] = _boxes_of(element, track, frame_at), element
+        tracks[str(track.track_id)] = _boxes_of(element, track, frame_at)
     return tracks
 
 
@@ -217,7 +213,7 @@ def _errors(times_ms: list[int]) -> range:
     return range(-error, error + 1)
 
 
-def _boxes_of(element: Element, track: _Labelled, frame_at: Mapping[int, int]) -> SceneBoxes:
+def _boxes_of(element: Element, track: _Labelled, frame_at: Mapping[int, int]) -> Track:
     n, frames = len(track.timestamps), list[int]()
     for row, time in enumerate(track.timestamps):
         frame = frame_at.get(round(time * 1000), -1)
@@ -230,14 +226,8 @@ def _boxes_of(element: Element, track: _Labelled, frame_at: Mapping[int, int]) -
         if len(values) != n:
             element[name].fail(f"a list of {n}")
     class_id = CLASS_OF_TYPE.get(track.object_type, CLASS_INDEX["unknown"])
-    return SceneBoxes(
-        frame=np.array(frames, np.int64),
-        id=np.zeros(n, np.int64),
-        position=np.array(track.positions).reshape(-1, 3),
-        size=np.array(sizes).reshape(-1, 3),
-        yaw=np.array(track.orientations, np.float64),
-        class_id=np.full(n, class_id, np.uint8),
-    )
+    places, shapes = (np.array(values).reshape(-1, 3) for values in (track.positions, sizes))
+    return Track(np.array(frames, np.int64), places, shapes, np.array(track.orientations), class_id, element)
 
 
 #: Models of the lidars, whose channels and angles are not in the files.
@@ -281,17 +271,18 @@ class UrbanIngV2X(DataSetScene):
         poses = {name: read_states(files.folder, name, timesync) for name in timesync.states}
         own_tracks = read_av_tracks(files, list(poses))
         boxes, objects = _boxes(files, read_tracks(files.labels, timesync.times_ms), poses, own_tracks)
-        row = np.flatnonzero((boxes.id == objects[vehicles[0]]) & (boxes.frame == 0))[0]
-        origin = boxes.position[row] - [0.0, 0.0, boxes.size[row, 2] / 2]
-        boxes = replace(boxes, position=boxes.position - origin)
+        origin, boxes = ground_below(boxes, objects[vehicles[0]], poses[vehicles[0]][0])
         calibration = files.folder / "calibration.json"
         paths = []
         for k, name in enumerate(vehicles):
-            position, rotation = poses[name]
-            own = objects[name]
-            height = float(boxes.size[np.flatnonzero(boxes.id == own)[0], 2])
-            mount = read_vehicle_lidar(calibration, name)
-            paths.append(_car("ego" if k == 0 else f"mobile_{k}", own, position - origin, rotation, height, mount))
+            (position, rotation), own = poses[name], objects[name]
+            underside = np.array([0.0, 0.0, -boxes.size[boxes.rows_of(own)[0], 2] / 2])
+            mount, turn = read_vehicle_lidar(calibration, name)
+            sensor = replace(_CAR_LIDAR, mount_position=mount - underside, mount_rotation=turn)
+            camera = Camera(mount_position=mount - underside)
+            # The origin of a car's body is the middle of its box, that of an agent the middle of its underside.
+            agent = SceneAgent("ego" if k == 0 else f"mobile_{k}", "mobile", own, sensor, camera)
+            paths.append(AgentPath(agent, position - origin + rotation @ underside, rotation))
         for k, name in enumerate(lidars, start=1):
             position, rotation = read_pole_lidar(calibration, name)
             paths.append(standing(f"infra_{k}", _POLE_LIDAR, position - origin, rotation, len(timesync.times_ms)))
@@ -307,45 +298,27 @@ def _boxes(
     Such a vehicle has a box in every frame, from its own state, in place of its labels.
     """
     labels = Labels(files.labels)
-    for name, (boxes, _) in tracks.items():
-        columns = boxes.frame.tolist(), boxes.position, boxes.size, boxes.yaw.tolist(), boxes.class_id.tolist()
-        for frame, *row in zip(*columns, strict=True) if name not in own_tracks.values() else ():
-            labels.add(frame, name, *row)
+    for name, track in tracks.items():
+        columns = zip(track.frame.tolist(), track.position, track.size, track.yaw.tolist(), strict=True)
+        for frame, place, size, yaw in columns if name not in own_tracks.values() else ():
+            labels.add(frame, name, place, size, yaw, track.class_id)
     all_boxes, ids = labels.boxes(own_tracks.values())
     unused = max(ids.values(), default=0) + 1
     parts, objects = [all_boxes], {}
     for k, (vehicle, (position, rotation)) in enumerate(poses.items()):
         name = own_tracks.get(vehicle, "")
         objects[vehicle] = ids[name] if name else unused + k
-        size, class_id = read_av_size(files, vehicle), CLASS_INDEX["car"]
-        if name in tracks and len(tracks[name][0]):
-            boxes, element = tracks[name]
-            _check_label(vehicle, boxes, element, position)
-            size, class_id = boxes.size[0], int(boxes.class_id[0])
-        size = _CAR_SIZE if size is None else size
-        parts.append(SceneBoxes.throughout(objects[vehicle], position, size, heading(rotation), class_id))
+        own_size, class_id = read_av_size(files, vehicle), CLASS_INDEX["car"]
+        if name in tracks and len(tracks[name].frame):
+            track = tracks[name]
+            expected = position[track.frame]
+            error = np.linalg.norm(track.position - expected, axis=1)
+            if error.max() > _MAX_LABEL_ERROR_M:
+                track.element["positions"].elements()[row := int(error.argmax())].fail(
+                    f"a position within {_MAX_LABEL_ERROR_M:g} m of {vehicle} in its state, "
+                    f"{np.round(expected[row], 2).tolist()}"
+                )
+            own_size, class_id = track.size[0], track.class_id
+        own_size = _CAR_SIZE if own_size is None else own_size
+        parts.append(SceneBoxes.throughout(objects[vehicle], position, own_size, heading(rotation), class_id))
     return SceneBoxes.concatenate(parts), objects
-
-
-def _check_label(vehicle: str, boxes: SceneBoxes, element: Element, position: Floats) -> None:
-    """Raise SceneError if the label of a vehicle is elsewhere than its state. position: (F, 3) m"""
-    error = np.linalg.norm(boxes.position - position[boxes.frame], axis=1)
-    row = int(error.argmax())
-    if error[row] > _MAX_LABEL_ERROR_M:
-        element["positions"].elements()[row].fail(
-            f"a position within {_MAX_LABEL_ERROR_M:g} m of {vehicle} in its state, "
-            f"{np.round(position[boxes.frame[row]], 2).tolist()}"
-        )
-
-
-def _car(
-    name: str, own: int, position: Floats, rotation: Floats, height: float, mount: tuple[Floats, Floats]
-) -> AgentPath:
-    """A car; its origin is the middle of its underside.
-
-    position, rotation: of its body, whose origin is the middle of its box; mount: pose of the lidar in it
-    """
-    underside = np.array([0.0, 0.0, -height / 2])
-    sensor = replace(_CAR_LIDAR, mount_position=mount[0] - underside, mount_rotation=mount[1])
-    camera = Camera(mount_position=mount[0] - underside)
-    return AgentPath(SceneAgent(name, "mobile", own, sensor, camera), position + rotation @ underside, rotation)

@@ -27,10 +27,7 @@ class XmlElement:
     """
 
     def __init__(self, tag: str, attributes: dict[str, str], path: Path, line: int) -> None:
-        self.tag = tag
-        self.attributes = attributes
-        self.path = path
-        self.line = line
+        self.tag, self.attributes, self.path, self.line = tag, attributes, path, line
         self.children: list[XmlElement] = []
         self.pieces: list[str] = []
 
@@ -45,11 +42,8 @@ class XmlElement:
 
     def attribute(self, name: str) -> TextElement:
         """The value of an attribute."""
-        value = self.get_attribute(name)
-        if value is None:
-            known = ", ".join(list(self.attributes)[:_MAX_NAMES]) or "none"
-            self.fail(f"attribute {name} is missing; found {known}")
-        return value
+        known = ", ".join(list(self.attributes)[:_MAX_NAMES]) or "none"
+        return self.get_attribute(name) or self.fail(f"attribute {name} is missing; found {known}")
 
     def get_attribute(self, name: str) -> TextElement | None:
         """The value of an attribute; None if there is none."""
@@ -58,11 +52,8 @@ class XmlElement:
 
     def child(self, tag: str) -> XmlElement:
         """The only child with a tag."""
-        match = self.get_child(tag)
-        if match is None:
-            known = ", ".join(dict.fromkeys(child.tag for child in self.children[:_MAX_NAMES])) or "none"
-            self.fail(f"<{tag}> is missing; found {known}")
-        return match
+        known = ", ".join(dict.fromkeys(child.tag for child in self.children[:_MAX_NAMES])) or "none"
+        return self.get_child(tag) or self.fail(f"<{tag}> is missing; found {known}")
 
     def get_child(self, tag: str) -> XmlElement | None:
         """The only child with a tag; None if there is none."""

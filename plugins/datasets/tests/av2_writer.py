@@ -13,17 +13,10 @@ POSES, BOXES = "city_SE3_egovehicle.feather", "annotations.feather"
 
 def poses() -> dict[str, Any]:
     """A car that drives north at 10 m/s, 60 m above sea level; poses at 20 Hz."""
-    n = 2 * FRAMES
-    return {
-        "timestamp_ns": 10**18 + 50_000_000 * np.arange(n),
-        "qw": np.full(n, np.cos(np.pi / 4)),
-        "qx": np.zeros(n),
-        "qy": np.zeros(n),
-        "qz": np.full(n, np.sin(np.pi / 4)),
-        "tx_m": np.full(n, 5000.0),
-        "ty_m": 2000.0 + 0.5 * np.arange(n),
-        "tz_m": np.full(n, 60.0),
-    }
+    rows = np.arange(2 * FRAMES)
+    pose = dict(qw=np.cos(np.pi / 4), qx=0.0, qy=0.0, qz=np.sin(np.pi / 4), tx_m=5000.0, ty_m=2000.0 + 0.5 * rows)
+    columns = {name: value + np.zeros(len(rows)) for name, value in (pose | {"tz_m": 60.0}).items()}
+    return {"timestamp_ns": 10**18 + 50_000_000 * rows} | columns
 
 
 def boxes() -> dict[str, Any]:
@@ -32,23 +25,13 @@ def boxes() -> dict[str, Any]:
     rows += [("a-person", "PEDESTRIAN", 0.0, 10.0, 1.8, 3), ("ego", "EGO_VEHICLE", 0.0, 0.0, 1.5, 1)]
     table = [(10**18 + 100_000_000 * frame, *row) for frame in range(FRAMES) for row in rows]
     time, track, category, x, y, height, points = map(list, zip(*table, strict=True))
-    n = len(table)
-    return {
-        "timestamp_ns": np.array(time),
-        "track_uuid": track,
-        "category": category,
-        "length_m": np.array([{"BUS": 12.0}.get(name, 0.8) for name in category]),
-        "width_m": np.array([{"BUS": 2.5}.get(name, 0.8) for name in category]),
-        "height_m": np.array(height),
-        "qw": np.ones(n),
-        "qx": np.zeros(n),
-        "qy": np.zeros(n),
-        "qz": np.zeros(n),
-        "tx_m": np.array(x),
-        "ty_m": np.array(y),
-        "tz_m": np.array(height) / 2 - 0.33,
-        "num_interior_pts": np.array(points),
-    }
+    columns = {"timestamp_ns": np.array(time), "track_uuid": track, "category": category}
+    for name, of_bus in (("length_m", 12.0), ("width_m", 2.5)):
+        columns[name] = np.array([of_bus if kind == "BUS" else 0.8 for kind in category])
+    columns |= {"height_m": np.array(height), "qw": np.ones(len(table))}
+    columns |= {name: np.zeros(len(table)) for name in ("qx", "qy", "qz")}
+    columns |= {"tx_m": np.array(x), "ty_m": np.array(y), "tz_m": np.array(height) / 2 - 0.33}
+    return columns | {"num_interior_pts": np.array(points)}
 
 
 def write(folder: Path, name: str, columns: dict[str, Any]) -> None:

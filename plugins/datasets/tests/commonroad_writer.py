@@ -23,13 +23,11 @@ def write_commonroad(recording: Recording, path: Path, version: str = "2020a") -
     if version == "2020a":
         for index, outline in enumerate(recording.buildings):
             points = "".join(f"<point><x>{x!r}</x><y>{y!r}</y></point>" for x, y in outline.tolist())
-            lines.append(
-                f'<environmentObstacle id="{900_000 + index}"><type>building</type>'
-                f"<shape><polygon>{points}</polygon></shape></environmentObstacle>"
-            )
-    lines.append('<planningProblem id="999999"><initialState/></planningProblem>')
-    lines.append("</commonRoad>")
-    path.write_text("\n".join(lines))
+            shape = f"<shape><polygon>{points}</polygon></shape>"
+            described = f'<environmentObstacle id="{900_000 + index}"><type>building</type>{shape}'
+            lines.append(f"{described}</environmentObstacle>")
+    end = '<planningProblem id="999999"><initialState/></planningProblem></commonRoad>'
+    path.write_text("\n".join([*lines, end]))
     return path
 
 
@@ -37,15 +35,9 @@ def obstacle(recording: Recording, number: int, rows: np.ndarray, frame: np.ndar
     truth = recording.truth
     length, width, _ = truth.size[rows[0]].tolist()
     tag = "dynamicObstacle" if version == "2020a" else "obstacle"
-    lines = [f'<{tag} id="{number}">']
-    lines += ["<role>dynamic</role>"] if version == "2018b" else []
-    lines += [
-        f"<type>{CLASSES[truth.class_id[rows[0]]]}</type>",
-        "<shape><rectangle>",
-        f"<length>{length!r}</length>",
-        f"<width>{width!r}</width>",
-        "</rectangle></shape>",
-    ]
+    role = "<role>dynamic</role>" if version == "2018b" else ""
+    lines = [f'<{tag} id="{number}">{role}<type>{CLASSES[truth.class_id[rows[0]]]}</type>']
+    lines.append(f"<shape><rectangle><length>{length!r}</length><width>{width!r}</width></rectangle></shape>")
     for index, (row, step) in enumerate(zip(rows, frame, strict=True)):
         if index == 1:
             lines.append("<trajectory>")

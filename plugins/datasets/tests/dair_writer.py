@@ -94,15 +94,9 @@ def write_spd(root: Path, recording: Recording, count: int, references: bool = T
                 entry["inf_track_id"] = f"i{recording.truth.id[row]}" if by_pole else "-1"
             entries.append(entry)
         write_json(root / "cooperative" / "label" / f"{vehicle_frame(frame)}.json", [*entries, CONE])
-        pairs.append(
-            {
-                "vehicle_frame": vehicle_frame(frame),
-                "infrastructure_frame": pole_frame(frame),
-                "vehicle_sequence": "0003",
-                "infrastructure_sequence": "0003",
-                "system_error_offset": {"delta_x": OFFSET[0], "delta_y": OFFSET[1]},
-            }
-        )
+        pair = {"vehicle_frame": vehicle_frame(frame), "infrastructure_frame": pole_frame(frame)}
+        pair |= {"vehicle_sequence": "0003", "infrastructure_sequence": "0003"}
+        pairs.append(pair | {"system_error_offset": {"delta_x": OFFSET[0], "delta_y": OFFSET[1]}})
     write_json(root / "cooperative" / "data_info.json", pairs)
     write_clocks(root, recording, count, lambda name: {"frame_id": name, "sequence_id": "0003"})
     return root
@@ -120,14 +114,10 @@ def write_c(root: Path, recording: Recording, count: int) -> Path:
             clockwise = corners[clockwise_from_front_left(corners, truth.yaw[0], truth.position[0])]
             entries.append({"type": DAIR_TYPES[truth.class_id[0]], "world_8_points": clockwise.tolist()})
         write_json(root / "cooperative" / "label_world" / f"{vehicle_frame(frame)}.json", entries)
-        pairs.append(
-            {
-                "vehicle_pointcloud_path": f"vehicle-side/velodyne/{vehicle_frame(frame)}.pcd",
-                "infrastructure_pointcloud_path": f"infrastructure-side/velodyne/{pole_frame(frame)}.pcd",
-                "cooperative_label_path": f"cooperative/label_world/{vehicle_frame(frame)}.json",
-                "system_error_offset": {"delta_x": OFFSET[0], "delta_y": ""},
-            }
-        )
+        pair = {"vehicle_pointcloud_path": f"vehicle-side/velodyne/{vehicle_frame(frame)}.pcd"}
+        pair |= {"infrastructure_pointcloud_path": f"infrastructure-side/velodyne/{pole_frame(frame)}.pcd"}
+        pair |= {"cooperative_label_path": f"cooperative/label_world/{vehicle_frame(frame)}.json"}
+        pairs.append(pair | {"system_error_offset": {"delta_x": OFFSET[0], "delta_y": ""}})
     write_json(root / "cooperative" / "data_info.json", pairs)
     write_clocks(root, recording, count, lambda name: {"pointcloud_path": f"velodyne/{name}.pcd", "batch_id": "7"})
     return root
@@ -138,10 +128,9 @@ def write_sides(root: Path, recording: Recording, frame: int, tracks: bool) -> t
     car, pole = (lidar_pose(recording, frame, agent) for agent in (0, 1))
     turned = car[1] @ MOUNT[1].T
     calibration = root / "vehicle-side" / "calib"
-    write_json(calibration / "lidar_to_novatel" / f"{vehicle_frame(frame)}.json", {"transform": transform(*MOUNT)})
-    write_json(
-        calibration / "novatel_to_world" / f"{vehicle_frame(frame)}.json", transform(car[0] - turned @ MOUNT[0], turned)
-    )
+    name = f"{vehicle_frame(frame)}.json"
+    write_json(calibration / "lidar_to_novatel" / name, {"transform": transform(*MOUNT)})
+    write_json(calibration / "novatel_to_world" / name, transform(car[0] - turned @ MOUNT[0], turned))
     shift = car[1] @ [*OFFSET, 0.0] if tracks else np.array([OFFSET[0], 0.0, 0.0])
     file = root / "infrastructure-side" / "calib" / "virtuallidar_to_world" / f"{pole_frame(frame)}.json"
     write_json(file, transform(pole[0] - shift, pole[1]) | {"relative_error": {"delta_x": "", "delta_y": ""}})
@@ -159,10 +148,7 @@ def write_sides(root: Path, recording: Recording, frame: int, tracks: bool) -> t
 
 
 def write_clocks(root: Path, recording: Recording, count: int, more: Callable[[str], dict[str, Any]]) -> None:
-    for side, name_of, delay in (
-        ("vehicle-side", vehicle_frame, 0),
-        ("infrastructure-side", pole_frame, DELAY_US),
-    ):
+    for side, name_of, delay in (("vehicle-side", vehicle_frame, 0), ("infrastructure-side", pole_frame, DELAY_US)):
         infos = []
         for frame, time in enumerate(recording.times_ns[:count].tolist()):
             moment = START_US + time // 1000 + delay

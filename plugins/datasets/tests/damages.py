@@ -66,27 +66,18 @@ def value(file: str, place: str, new: Any) -> Damage:
 
     def change(root: Path) -> None:
         old = (root / file).read_text()
-        whole = [json.loads(old) if is_json else yaml.load(old, Loader=yaml.CSafeLoader)]
-        put(whole, f"[0].{place}", new)
+        whole: Any = [json.loads(old) if is_json else yaml.load(old, Loader=yaml.CSafeLoader)]
+        holder, key = whole, 0
+        for step in re.findall(r"[^.\[\]]+", place):
+            holder = holder[key]
+            key = step if step in holder or not step.isdigit() else int(step)
+        if new is GONE:
+            del holder[key]
+        else:
+            holder[key] = new(holder[key]) if callable(new) else new
         (root / file).write_text(json.dumps(whole[0]) if is_json else yaml.dump(whole[0], Dumper=yaml.CDumper))
 
     return Damage(file, change)
-
-
-def put(whole: Any, place: str, new: Any) -> None:
-    """Put a value at a place in nested lists and dicts, as `value` does."""
-    *steps, last = re.findall(r"[^.\[\]]+", place)
-    for step in steps:
-        whole = whole[_key(whole, step)]
-    key = _key(whole, last)
-    if new is GONE:
-        del whole[key]
-    else:
-        whole[key] = new(whole[key]) if callable(new) else new
-
-
-def _key(holder: Any, step: str) -> Any:
-    return step if step in holder or not step.isdigit() else int(step)
 
 
 EXTREME = [None, True, 0, -1, 1e308, -1e308, 10**400, float("nan"), float("inf"), "", "\x00", "\ud800", "1", [], {}]
@@ -111,9 +102,8 @@ def damaged(content: bytes, damage: tuple[str, Any]) -> bytes:
         return content[: int(len(content) * change)]
     if kind == "value":
         with contextlib.suppress(ValueError):
-            places: list[tuple[Any, Any]] = []
             whole = json.loads(content)
-            _collect(whole, places)
+            places = places_of(whole)
             holder, key = places[int(len(places) * change[0])]
             holder[key] = change[1]
             return json.dumps(whole).encode()
@@ -124,9 +114,7 @@ def damaged(content: bytes, damage: tuple[str, Any]) -> bytes:
     return bytes(changed)
 
 
-def _collect(value: Any, places: list[tuple[Any, Any]]) -> None:
+def places_of(value: Any) -> list[tuple[Any, Any]]:
     """All holders and keys of values in decoded JSON."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, inner in items:
-        places.append((value, key))
-        _collect(inner, places)
+    return [place for key, inner in items for place in ((value, key), *places_of(inner))]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from comparison import lidar_pose
+from comparison import lidar_pose, matrix
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.scenes.recording import Recording
@@ -113,10 +113,10 @@ def write_multiv2x(recording: Recording, folder: Path) -> Path:
             stem = FIRST + 2 * frame
             content = poses(recording, frame, column) | {"conn_agents": [], "objects": {}}
             write_yaml(folder / name / f"{stem:06d}.yaml", content)
-            visible = [
-                {"object_id": int(recording.truth.id[k]), "visible_points": int(recording.points[k, column])}
-                for k in rows(recording, frame, column)
-            ]
+            seen = {
+                int(recording.truth.id[k]): int(recording.points[k, column]) for k in rows(recording, frame, column)
+            }
+            visible = [{"object_id": number, "visible_points": count} for number, count in seen.items()]
             write_yaml(folder / name / f"{stem:05d}_view.yaml", {"visible_objects": visible})
     return folder
 
@@ -128,8 +128,7 @@ def write_v2v4real(recording: Recording, folder: Path, alone: int = -1) -> Path:
         order = {int(number): k for k, number in enumerate(np.unique(truth.id)[:: 1 - 2 * column])}
         for frame in range(len(recording)):
             rotation, origin = recording.agent_rotation[frame, column], lidar_pose(recording, frame, column)[0]
-            matrix = np.eye(4)
-            matrix[:3, :3], matrix[:3, 3] = rotation, origin
+            pose = matrix(origin, rotation)
             vehicles = {}
             for k in rows(recording, frame, column):
                 yaw = truth.yaw[k] - np.arctan2(rotation[1, 0], rotation[0, 0])
@@ -142,7 +141,7 @@ def write_v2v4real(recording: Recording, folder: Path, alone: int = -1) -> Path:
                     "obj_type": REAL[CLASSES[truth.class_id[k]]],
                 }
             gps = [np.float64(40.0), np.float64(-83.0)]
-            content = {"ego_speed": 5.0, "gps": gps, "lidar_pose": matrix, "true_ego_pos": matrix, "vehicles": vehicles}
+            content = {"ego_speed": 5.0, "gps": gps, "lidar_pose": pose, "true_ego_pos": pose, "vehicles": vehicles}
             path = folder / str(column) / f"{frame:06d}.yaml"
             path.parent.mkdir(parents=True, exist_ok=True)
             # As NumPy 1 wrote it.

@@ -12,11 +12,7 @@ from mast_ros2.spatial import Transform, header, poses, upper_left
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mast_zenoh.arrays.geometry import (
-    heading,
-    quaternion_from_rotation,
-    rotation_from_yaw,
-)
+from mast_zenoh.arrays.geometry import heading, quaternion_from_rotation, rotation_from_yaw
 from mast_zenoh.arrays.states import CLASSES, Detections
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import sensor_pose
@@ -98,10 +94,9 @@ def detection_array(
         turn = rotation_from_yaw(float(found.yaw[row])) if rotations is None else rotations[row]
         place = pose(found.position[row], turn)
         hypothesis = TYPES["vision_msgs/msg/ObjectHypothesis"](CLASSES[found.class_id[row]], float(found.score[row]))
-        with_covariance = TYPES["geometry_msgs/msg/PoseWithCovariance"](
-            place, upper_left(found.covariance[row : row + 1])[0]
-        )
-        result = TYPES["vision_msgs/msg/ObjectHypothesisWithPose"](hypothesis, with_covariance)
+        covariance = upper_left(found.covariance[row : row + 1])[0]
+        placed = TYPES["geometry_msgs/msg/PoseWithCovariance"](place, covariance)
+        result = TYPES["vision_msgs/msg/ObjectHypothesisWithPose"](hypothesis, placed)
         size = TYPES["geometry_msgs/msg/Vector3"](*found.size[row].tolist())
         box = TYPES["vision_msgs/msg/BoundingBox3D"](place, size)
         head = header(START_NS + time_ns, frame)
@@ -123,10 +118,8 @@ def write_recording(folder: Path, source: Recording, storage: str = "sqlite3", *
         if agent.kind == "static":
             position, rotation = source.agent_position[0, row], source.agent_rotation[0, row]
             pitch = np.degrees(-np.arcsin(rotation[2, 0]))
-            lines.append(
-                f"pose = {{ position = {position.tolist()}, yaw_deg = {np.degrees(heading(rotation))}, "
-                f"pitch_deg = {pitch} }}"
-            )
+            turn = f"yaw_deg = {np.degrees(heading(rotation))}, pitch_deg = {pitch}"
+            lines.append(f"pose = {{ position = {position.tolist()}, {turn} }}")
         else:
             lines.append(f'pose = {{ topic = "/tf", child = "{agent.name}" }}')
             first = np.flatnonzero(source.truth.id == agent.object_id)[0]
@@ -166,9 +159,9 @@ def _poses(source: Recording) -> list[Sent]:
     mobile = [row for row, agent in enumerate(source.agents) if agent.kind == "mobile"]
     sent = []
     for frame, time_ns in enumerate(source.times_ns.tolist()):
+        poses = zip(source.agent_position[frame], source.agent_rotation[frame], strict=True)
         children = {
-            source.agents[row].name: (source.agent_position[frame, row], source.agent_rotation[frame, row])
-            for row in mobile
+            agent.name: pose for agent, pose in zip(source.agents, poses, strict=True) if agent.kind == "mobile"
         }
         sent.append(Sent("/tf", time_ns, transforms(time_ns, "map", children)))
         for row in mobile:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 #: m, from the crossing to the ends of the streets.
@@ -56,27 +57,21 @@ def _network(lights: str) -> str:
     kind, states = ("traffic_light", ("o", "o")) if lights else ("priority", ("m", "M"))
     logic = f'<tlLogic id="C" type="static" programID="0" offset="0">{lights}</tlLogic>' if lights else ""
     far, near = REACH, 4
+
+    def edge(name: str, ends: str, begin: tuple[int, int], end: tuple[int, int]) -> str:
+        shape = f"{begin[0]},{begin[1]} {end[0]},{end[1]}"
+        lane = f'<lane id="{name}_0" index="0" speed="13.89" length="{math.dist(begin, end):g}" shape="{shape}"/>'
+        return f"""<edge id="{name}" {ends or 'function="internal"'}>{lane}</edge>"""
+
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <net version="1.20" junctionCornerDetail="5" limitTurnSpeed="5.50">
     <location netOffset="0.00,0.00" convBoundary="-{far},-{far},{far},{far}" origBoundary="0,0,0,0" projParameter="!"/>
-    <edge id=":C_0" function="internal">
-        <lane id=":C_0_0" index="0" speed="13.89" length="{2 * near}" shape="0,-{near} 0,{near}"/>
-    </edge>
-    <edge id=":C_1" function="internal">
-        <lane id=":C_1_0" index="0" speed="13.89" length="{2 * near}" shape="-{near},0 {near},0"/>
-    </edge>
-    <edge id="south" from="S" to="C" priority="1">
-        <lane id="south_0" index="0" speed="13.89" length="{far - near}" shape="0,-{far} 0,-{near}"/>
-    </edge>
-    <edge id="north" from="C" to="N" priority="1">
-        <lane id="north_0" index="0" speed="13.89" length="{far - near}" shape="0,{near} 0,{far}"/>
-    </edge>
-    <edge id="west" from="W" to="C" priority="3">
-        <lane id="west_0" index="0" speed="13.89" length="{far - near}" shape="-{far},0 -{near},0"/>
-    </edge>
-    <edge id="east" from="C" to="E" priority="3">
-        <lane id="east_0" index="0" speed="13.89" length="{far - near}" shape="{near},0 {far},0"/>
-    </edge>
+    {edge(":C_0", "", (0, -near), (0, near))}
+    {edge(":C_1", "", (-near, 0), (near, 0))}
+    {edge("south", 'from="S" to="C" priority="1"', (0, -far), (0, -near))}
+    {edge("north", 'from="C" to="N" priority="1"', (0, near), (0, far))}
+    {edge("west", 'from="W" to="C" priority="3"', (-far, 0), (-near, 0))}
+    {edge("east", 'from="C" to="E" priority="3"', (near, 0), (far, 0))}
     {logic}
     <junction id="C" type="{kind}" x="0" y="0" incLanes="south_0 west_0" intLanes=":C_0_0 :C_1_0"
               shape="-{near},-{near} {near},-{near} {near},{near} -{near},{near}">

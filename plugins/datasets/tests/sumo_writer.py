@@ -21,10 +21,7 @@ def write_sumo(recording: Recording, folder: Path, kind: str = "xml") -> Path:
     for frame in range(len(recording)):
         start, end = recording.truth_start[frame : frame + 2]
         steps.append([road_user(recording, row, int(number[row])) for row in range(start, end)])
-    if kind == "xml":
-        (folder / "fcd.xml").write_text(as_xml(recording, steps))
-    else:
-        (folder / "fcd.csv").write_text(as_csv(recording, steps))
+    (folder / f"fcd.{kind}").write_text({"xml": as_xml, "csv": as_csv}[kind](recording, steps))
     polygons = [polygon(*part) for part in enumerate(zip(recording.buildings, recording.building_height, strict=True))]
     (folder / "houses.poly.xml").write_text("\n".join(["<additional>", *polygons]) + END)
     return folder
@@ -36,10 +33,8 @@ END = "\n</additional>\n"
 def vehicle_type(number: int, row: np.ndarray) -> str:
     length, width, height, class_id = row.tolist()
     name = CLASSES[int(class_id)]
-    return (
-        f'<vType id="type{number}" vClass="{VEHICLE_CLASS.get(name, name)}" length="{length}" width="{width}" '
-        f'height="{height}"/>'
-    )
+    size = f'length="{length}" width="{width}" height="{height}"'
+    return f'<vType id="type{number}" vClass="{VEHICLE_CLASS.get(name, name)}" {size}/>'
 
 
 def road_user(recording: Recording, row: int, kind: int) -> tuple[bool, dict[str, Any]]:
@@ -49,14 +44,8 @@ def road_user(recording: Recording, row: int, kind: int) -> tuple[bool, dict[str
     yaw = float(truth.yaw[row])
     ahead = np.array([np.cos(yaw), np.sin(yaw)])
     x, y = (truth.position[row, :2] + (0.0 if person else truth.size[row, 0] / 2) * ahead).tolist()
-    return person, {
-        "id": f"user.{truth.id[row]}",
-        "x": x,
-        "y": y,
-        "angle": float((90.0 - np.degrees(yaw)) % 360.0),
-        "type": f"type{kind}",
-        "speed": float(truth.velocity[row, :2] @ ahead),
-    }
+    angle, speed = float((90.0 - np.degrees(yaw)) % 360.0), float(truth.velocity[row, :2] @ ahead)
+    return person, dict(id=f"user.{truth.id[row]}", x=x, y=y, angle=angle, type=f"type{kind}", speed=speed)
 
 
 def as_xml(recording: Recording, steps: list[list[tuple[bool, dict[str, Any]]]]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,12 @@ from damages import DAMAGE, damaged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from layouts import TWINS
+from mast_datasets import traffic
 
 import mast_zenoh as mast
 from mast_zenoh.config.scene_names import recognised
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import Scene
+from mast_zenoh.scenes import Scene, detection_tables
 from mast_zenoh.sensing import CleanDetector
 from mast_zenoh.testing import check_scene
 
@@ -97,21 +99,15 @@ def test_agents_that_the_data_does_not_have_are_refused(twins: dict[str, Path]) 
                     scene(name, path, **{option: count}).record(0, None)
 
 
-@settings(max_examples=15, deadline=None)
-@given(data=st.data())
+@pytest.mark.parametrize("count", [15, pytest.param(100, marks=pytest.mark.heavy)])
 @pytest.mark.parametrize("name", [*TWINS, *LAYOUTS])
-def test_a_damaged_file_is_read_or_refused(name: str, twins: dict[str, Path], data: st.DataObject) -> None:
-    read_damaged(name, twins[name], data)
+def test_a_damaged_file_is_read_or_refused(name: str, count: int, twins: dict[str, Path]) -> None:
+    @settings(max_examples=count, deadline=None)
+    @given(data=st.data())
+    def check(data: st.DataObject) -> None:
+        read_damaged(name, twins[name], data)
 
-
-@pytest.mark.heavy
-@settings(max_examples=100, deadline=None)
-@given(data=st.data())
-@pytest.mark.parametrize("name", [*TWINS, *LAYOUTS])
-def test_files_with_many_more_damages_are_read_or_refused(
-    name: str, twins: dict[str, Path], data: st.DataObject
-) -> None:
-    read_damaged(name, twins[name], data)
+    check()
 
 
 def read_damaged(name: str, path: Path, data: st.DataObject) -> None:
@@ -133,6 +129,79 @@ def read_damaged(name: str, path: Path, data: st.DataObject) -> None:
             scene(name, path).record(0, None).validate()
     finally:
         file.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("scene", "parameters", "message"),
+    [
+        (mast_datasets.OPV2VScene, dict(rate_hz=0), "rate_hz is 0, expected 0.01 to 1000"),
+        (mast_datasets.TUMTrafV2X, dict(max_gap_s=0), "max_gap_s is 0, expected a number above 0"),
+        (mast_datasets.KittiTracking, dict(first_frame=-1), "are -1, None, expected"),
+        (mast_datasets.KittiTracking, dict(first_frame=3, last_frame=2), "are 3, 2, expected"),
+        (
+            mast_datasets.CommonRoadScenario,
+            dict(building_height_m=0.0),
+            "building_height_m is 0.0, expected 0.1 to 1000",
+        ),
+        (mast_datasets.SumoTrace, dict(duration_s=0.0), "duration_s is 0.0, expected 0.001 to 100000"),
+        (mast_datasets.SumoTrace, dict(radius_m=5.0), "radius_m is 5.0, expected 20 to 2000"),
+        (mast_datasets.SumoTraffic, dict(rate_hz=3.0), "rate_hz is 3.0, expected one whose frames last"),
+        (mast_datasets.SumoTraffic, dict(rate_hz=0.5), "rate_hz is 0.5, expected 1 to 20"),
+        (mast_datasets.SumoTraffic, dict(n_infrastructure=17), "n_infrastructure is 17, expected 0 to 16"),
+        (mast_datasets.SumoTraffic, dict(n_mobile=-1), "n_mobile is -1, expected 0 to 10000"),
+        *(
+            (mast_datasets.DAIRScene, {name: limit}, f"DAIRScene: {name} is .*, expected a number above 0")
+            for name in ("max_time_difference_s", "max_gap_s", "match_radius_m", "link_radius_m")
+            for limit in (0, -1.0, float("nan"), "far", True)
+        ),
+        *(
+            (
+                mast_datasets.AVstackScene,
+                dict(max_unpacked_mb=limit),
+                "max_unpacked_mb is .*, expected a number above 0",
+            )
+            for limit in (0, -1, float("nan"), float("inf"), "1 GB", None)
+        ),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused(scene: type[Scene], parameters: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        scene(path="somewhere", **parameters)
+
+
+SEARCHED = ["OPV2VScene", "DAIRScene", "CommonRoadScenario", "SumoTrace", "AV2Log", "AVstackScene"]
+
+
+@pytest.mark.parametrize("name", SEARCHED)
+def test_one_of_several_in_a_folder_is_not_chosen(name: str, twins: dict[str, Path], tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=f"{tmp_path.name}: (found 0|no run)"):
+        scene(name, tmp_path).record(0, None)
+    above = tmp_path / "above"
+    above.mkdir()
+    for copy in ("a", "b"):
+        if name == "SumoTrace":
+            (above / f"fcd_{copy}.xml").touch()
+        elif twins[name].is_dir():
+            shutil.copytree(twins[name], above / copy)
+        else:
+            shutil.copy(twins[name], above / f"{copy}.xml")
+    with pytest.raises(SceneError, match=r"above: (found )?2 .*a.*, .*b.*, expected"):
+        scene(name, above).record(0, None)
+
+
+@pytest.mark.parametrize("name", ["TUMTrafV2X", "UrbanIngV2X", "DAIRScene", "RCooperScene"])
+def test_scenes_beyond_the_limits_are_refused(
+    name: str, twins: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = scene(name, twins[name])
+    for module, limit, message in (
+        (traffic, "MAX_BOXES", "found more than 3 boxes"),
+        (detection_tables, "MAX_FILE_BYTES", r"found \d+ bytes, expected at most 3"),
+    ):
+        with monkeypatch.context() as patched:
+            patched.setattr(module, limit, 3)
+            with pytest.raises(SceneError, match=message):
+                read.record(0, None)
 
 
 @pytest.mark.parametrize("name", TWINS)

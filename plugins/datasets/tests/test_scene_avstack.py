@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from carla_writer import FRAMES, actors_at, npcs_at, state, write_lines, write_objects, write_run
+from comparison import lidar_pose
 from damages import Damage, assert_refused, content, removed, text
 from mast_datasets import AVstackScene
 from mast_datasets.avstack import EGO_ID
@@ -18,7 +19,7 @@ from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import Recording
-from mast_zenoh.sensing import CleanDetector, LidarSensor, Walls, lidar_points, sensor_pose, to_world
+from mast_zenoh.sensing import CleanDetector, LidarSensor, Walls, lidar_points, to_world
 
 
 @pytest.fixture
@@ -83,19 +84,13 @@ def test_objects_listed_by_a_lidar_have_returns_by_visible_fraction_and_others_n
     # No file lists the agents: ray casting decides whether the pole sees the ego.
     assert points[2].tolist() == [0, cast[2]]
 
-
-def test_completely_occluded_objects_are_not_seen(run: Path) -> None:
+    # Completely occluded objects are not seen; without files, rays are cast.
     hidden = npcs_at(4)
     hidden[0] |= {"occlusion": 3}
     hidden[1] |= {"occlusion": 0, "visible_fraction": 0.0}
     write_objects(run / "objects_sensor" / "lidar-0-0", "objects", 4, hidden)
     assert read(run).points_at(0)[:2, 0].tolist() == [0, 0]
-
-
-def test_without_object_files_of_a_lidar_rays_are_cast(run: Path) -> None:
-    for path in (run / "objects_sensor" / "lidar-0-0").iterdir():
-        path.unlink()
-    (run / "objects_sensor" / "lidar-0-0").rmdir()
+    shutil.rmtree(run / "objects_sensor" / "lidar-0-0")
     assert (read(run).points_at(0)[:2, 0] > 100).all()
 
 
@@ -119,6 +114,7 @@ def test_detections_next_to_the_scene_are_replayed(run: Path) -> None:
     lines = nothing("detections")
     detection = BOX | {"yaw": 1.5, "score": 0.75, "class": "car"}
     lines[0]["detections"] = [detection | {"gt": 0}, detection | {"covariance": np.eye(3).tolist()}]
+    lines[2]["detections"] = [BOX | {"q": [np.cos(0.2), 0.0, 0.0, -np.sin(0.2)]}]
     write_lines(run.parent / "detections.jsonl", lines)
     recording = read(run)
     detections = recording.detections_at(0, 0)
@@ -126,15 +122,9 @@ def test_detections_next_to_the_scene_are_replayed(run: Path) -> None:
     np.testing.assert_allclose(detections.size[0], [4.0, 2.0, 1.5])
     assert recording.detection_truth_id_at(0, 0).tolist() == [0, -1]
     assert detections.covariance[:, 0, 0].tolist() == [0.0, 1.0]
-    assert len(recording.detections) == 2
+    np.testing.assert_allclose(recording.detections_at(1, 0).yaw, [0.4])
+    assert len(recording.detections) == 3
     assert len(read(run, replay=False, detector=CleanDetector()).detections_at(0, 0)) == 2
-
-
-def test_a_detection_may_give_an_attitude_instead_of_a_yaw(run: Path) -> None:
-    lines = nothing("detections")
-    lines[0]["detections"] = [BOX | {"q": [np.cos(0.2), 0.0, 0.0, -np.sin(0.2)]}]
-    write_lines(run / "detections.jsonl", lines)
-    np.testing.assert_allclose(read(run).detections_at(0, 0).yaw, [0.4])
 
 
 def test_visibility_and_building_files_next_to_the_scene_are_used(run: Path) -> None:
@@ -179,10 +169,7 @@ def test_scenarios_that_name_agents_match_those_of_the_data_set(tmp_path: Path) 
         scenario.load("passthrough", [f"scene=avstack:{tmp_path}/nowhere"])
 
 
-ACTORS, NPCS = (
-    "objects/objectstate-actors-0000000005-000000000.50.txt",
-    "objects/objectstate-npcs-0000000005-000000000.50.txt",
-)
+ACTORS, NPCS = (f"objects/objectstate-{kind}-0000000005-000000000.50.txt" for kind in ("actors", "npcs"))
 CALIBRATION = "data/lidar-0-0/calib-timestamp_00000.50-frame_000005.txt"
 
 
@@ -237,12 +224,6 @@ def test_a_damaged_scene_is_refused_with_file_and_reason(run: Path, damage: Dama
     assert_refused(read, run, damage, message)
 
 
-def test_a_folder_with_two_runs_is_refused_with_their_names(run: Path) -> None:
-    write_run(run.parent / "run-1")
-    with pytest.raises(SceneError, match=r"town: 2 runs \(run-0, run-1\), expected the path of one"):
-        read(run.parent)
-
-
 def test_files_that_are_not_scenes_are_refused_by_name(tmp_path: Path) -> None:
     path = tmp_path / "scene.tar.gz"
     for damage in (Damage("scene.tar.gz", str), content(path.name, b""), content(path.name, b"not an archive")):
@@ -250,28 +231,21 @@ def test_files_that_are_not_scenes_are_refused_by_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "reason"),
+    ("file", "entry", "reason"),
     [
-        (lambda lines: lines[:-1], "no line for frame 7, agent 1"),
-        (lambda lines: [*lines, lines[2]], "line 9: frame 5 of agent 0 is already in line 3"),
-        (lambda lines: [{"frame": 4}, *lines], "line 1: 'agent' is missing"),
-        (lambda lines: [lines[0] | {"detections": [{"x": 1.0}]}, *lines[1:]], "line 1: 'y' is missing"),
-        (lambda lines: [lines[0] | {"detections": None}, *lines[1:]], "line 1: detections is not a list"),
-        (lambda lines: [lines[0] | {"detections": [{"x": float("nan")}]}, *lines[1:]], "line 1: NaN is not a finite"),
-        (lambda lines: [lines[0] | {"detections": [BOX | {"h": 0.0, "yaw": 0.0}]}, *lines[1:]], "line 1: l, w, h: exp"),
+        ("detections", {"detections": [{"x": 1.0}]}, "line 1: 'y' is missing"),
+        ("detections", {"detections": None}, "line 1: detections is not a list"),
+        ("detections", {"detections": [{"x": float("nan")}]}, "line 1: NaN is not a finite"),
+        ("detections", {"detections": [BOX | {"h": 0.0, "yaw": 0.0}]}, "line 1: l, w, h: exp"),
+        ("detections", {"agent": 1}, "line 2: frame 4 of agent 1 is already in line 1"),
+        ("detections", {"frame": 9}, "no line for frame 4, agent 0"),
+        ("visibility", {"objects": [[77, 5]]}, "line 1: object 77 is not in the scene"),
     ],
 )
-def test_damaged_detections_are_refused_with_their_line(run: Path, change: object, reason: str) -> None:
-    write_lines(run / "detections.jsonl", change(nothing("detections")))
-    with pytest.raises(SceneError, match=rf"detections\.jsonl: {reason}"):
-        read(run)
-
-
-def test_visibility_of_unknown_objects_is_refused(run: Path) -> None:
-    lines = nothing("objects")
-    lines[3]["objects"] = [[77, 5]]
-    write_lines(run / "visibility.jsonl", lines)
-    with pytest.raises(SceneError, match=r"visibility\.jsonl: line 4: object 77 is not in the scene"):
+def test_damaged_lines_are_refused_with_their_number(run: Path, file: str, entry: dict, reason: str) -> None:
+    first, *others = nothing("objects" if file == "visibility" else file)
+    write_lines(run / f"{file}.jsonl", [first | entry, *others])
+    with pytest.raises(SceneError, match=rf"{file}\.jsonl: {reason}"):
         read(run)
 
 
@@ -312,13 +286,8 @@ def test_detections_of_scene_a_match_their_objects(scene_a: Path) -> None:
     errors = []
     for frame in range(0, 150, 5):
         truth = recording.truth_at(frame)
-        for a, agent in enumerate(recording.agents):
-            pose = sensor_pose(
-                recording.agent_position[frame, a],
-                recording.agent_rotation[frame, a],
-                agent.sensor.mount_position,
-                agent.sensor.mount_rotation,
-            )
+        for a in range(len(recording.agents)):
+            pose = lidar_pose(recording, frame, a)
             ids = recording.detection_truth_id_at(frame, a)
             detections = to_world(recording.detections_at(frame, a), *pose).select(ids >= 0)
             rows = np.searchsorted(truth.id, ids[ids >= 0])
@@ -337,20 +306,8 @@ def test_ray_casting_reproduces_the_returns_listed_in_scene_a(scene_a: Path) -> 
     for frame in range(0, 150, 10):
         truth = recording.truth_at(frame)
         for a, agent in enumerate(recording.agents):
-            pose = sensor_pose(
-                recording.agent_position[frame, a],
-                recording.agent_rotation[frame, a],
-                agent.sensor.mount_position,
-                agent.sensor.mount_rotation,
-            )
-            own = np.flatnonzero(truth.id == agent.object_id)
-            cast = lidar_points(
-                agent.sensor if a else roof,
-                *pose,
-                truth.position,
-                truth.size,
-                truth.yaw,
-                walls,
-                int(own[0]) if len(own) else -1,
-            )
+            shapes = truth.position, truth.size, truth.yaw
+            own = int(np.flatnonzero(np.append(truth.id, agent.object_id) == agent.object_id)[0])
+            own = own if own < len(truth) else -1
+            cast = lidar_points(agent.sensor if a else roof, *lidar_pose(recording, frame, a), *shapes, walls, own)
             np.testing.assert_allclose(cast, recording.points_at(frame)[:, a], atol=1)

@@ -33,11 +33,8 @@ def car(number: int, x: float, steps: range, shape: str = "", kind: str = "car")
 
 
 def scenario(*obstacles: str) -> str:
-    return (
-        '<?xml version="1.0"?>\n<commonRoad commonRoadVersion="2020a" timeStepSize="0.1" benchmarkID="ROAD">\n'
-        + "".join(obstacles)
-        + "</commonRoad>\n"
-    )
+    root = '<commonRoad commonRoadVersion="2020a" timeStepSize="0.1" benchmarkID="ROAD">\n'
+    return f'<?xml version="1.0"?>\n{root}{"".join(obstacles)}</commonRoad>\n'
 
 
 ROAD = scenario(car(1, 0.0, range(5)), car(2, 20.0, range(5)), car(3, 30.0, range(3)))
@@ -77,38 +74,27 @@ def test_the_ego_is_the_vehicle_with_the_most_company_of_those_there_longest(tmp
     far = car(4, 500.0, range(5))
     recording = read(tmp_path / "road.xml", scenario(far, car(1, 0.0, range(5)), car(2, 20.0, range(5))), n_mobile=2)
     assert [agent.object_id for agent in recording.agents] == [1, 2, 4]
+    with pytest.raises(ConfigurationError, match="ego is 12, expected the id of a dynamic vehicle: 1, 2, 4"):
+        read(tmp_path / "road.xml", ego=12)
 
 
-def test_objects_that_leave_are_there_until_they_do(tmp_path: Path) -> None:
-    recording = read(tmp_path / "road.xml", ROAD, ego=1)
+def test_objects_that_leave_are_there_until_they_do_with_velocities_of_their_positions(tmp_path: Path) -> None:
+    recording = read(tmp_path / "road.xml", ROAD.replace("<velocity><exact>10</exact></velocity>", ""), ego=1)
     assert np.diff(recording.truth_start).tolist() == [3, 3, 3, 2, 2]
+    np.testing.assert_allclose(recording.truth.velocity[:, 0], 10.0)
 
 
-def test_velocities_that_are_not_stored_come_from_the_positions(tmp_path: Path) -> None:
-    text = ROAD.replace("<velocity><exact>10</exact></velocity>", "")
-    np.testing.assert_allclose(read(tmp_path / "road.xml", text).truth.velocity[:, 0], 10.0)
+CORNERS = ((0, 0), (4, 0), (4, 2), (0, 2), (0, 0))  # closed by its first corner
+POLYGON = "".join(f"<point><x>{x}</x><y>{y}</y></point>" for x, y in CORNERS)
+TURNED = "<length>4</length><width>2</width><orientation>0.5</orientation><center><x>1</x><y>-0.5</y></center>"
 
 
 @pytest.mark.parametrize(
     ("shape", "size", "middle", "yaw"),
     [
         ("<circle><radius>0.5</radius></circle>", [1.0, 1.0], [0.0, 0.0], 0.0),
-        (
-            "<rectangle><length>4</length><width>2</width><orientation>0.5</orientation>"
-            "<center><x>1</x><y>-0.5</y></center></rectangle>",
-            [4.0, 2.0],
-            [1.0, -0.5],
-            0.5,
-        ),
-        (
-            "<polygon>"
-            + "".join(f"<point><x>{x}</x><y>{y}</y></point>" for x, y in ((0, 0), (4, 0), (4, 2), (0, 2)))
-            # closed by its first corner
-            + "<point><x>0</x><y>0</y></point></polygon>",
-            [4.0, 2.0],
-            [2.0, 1.0],
-            0.0,
-        ),
+        (f"<rectangle>{TURNED}</rectangle>", [4.0, 2.0], [1.0, -0.5], 0.5),
+        (f"<polygon>{POLYGON}</polygon>", [4.0, 2.0], [2.0, 1.0], 0.0),
     ],
 )
 def test_other_shapes_become_the_box_around_them(
@@ -117,8 +103,7 @@ def test_other_shapes_become_the_box_around_them(
     text = scenario(car(1, 0.0, range(5)), car(2, 10.0, range(5), shape, "pedestrian"))
     truth = read(tmp_path / "road.xml", text).truth_at(0)
     np.testing.assert_allclose(truth.position[1], [10 + middle[0], middle[1], 1.719 / 2])
-    np.testing.assert_allclose(truth.size[1, :2], size)
-    np.testing.assert_allclose(truth.yaw[1], yaw)
+    np.testing.assert_allclose([*truth.size[1, :2], truth.yaw[1]], [*size, yaw])
     assert truth.class_id.tolist() == [CLASS_INDEX["car"], CLASS_INDEX["pedestrian"]]
 
 
@@ -127,10 +112,8 @@ def test_static_obstacles_stand_still_and_only_road_users_are_objects(tmp_path: 
         text = car(number, 8.0, range(1)).replace("dynamicObstacle", "staticObstacle")
         return text.replace("<trajectory></trajectory>", "").replace("<type>car", f"<type>{kind}")
 
-    text = scenario(
-        car(1, 0.0, range(5)), static(7, "parkedVehicle"), static(8, "roadBoundary"), '<phantomObstacle id="9"/>'
-    )
-    recording = read(tmp_path / "road.xml", text)
+    others = static(7, "parkedVehicle"), static(8, "roadBoundary"), '<phantomObstacle id="9"/>'
+    recording = read(tmp_path / "road.xml", scenario(car(1, 0.0, range(5)), *others))
     assert recording.truth.id.tolist() == [1, 7] * 5
     parked = recording.truth.position[recording.truth.id == 7]
     np.testing.assert_allclose(parked, [[8.0, 0.0, 0.75]] * 5)
@@ -169,27 +152,6 @@ def test_a_damaged_scenario_is_refused_with_file_line_and_reason(
     count = 9 if "pedestrian" in new else 2 if "occupancySet" in new else 1
     with pytest.raises(SceneError, match=rf"road\.xml: .*{message}"):
         read(tmp_path / "road.xml", ROAD.replace(old, new, count))
-
-
-def test_a_path_without_a_single_scenario_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"found 0 files \*\.xml \(none\), expected one"):
-        read(tmp_path)
-    read(tmp_path / "a.xml", ROAD)
-    read(tmp_path / "b.xml", ROAD)
-    with pytest.raises(SceneError, match=r"found 2 files \*\.xml \(a\.xml, b\.xml\), expected one"):
-        read(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        (dict(ego=12), r"road\.xml: ego is 12, expected the id of a dynamic vehicle: 1, 2, 3"),
-        (dict(building_height_m=0.0), "building_height_m is 0.0, expected 0.1 to 1000"),
-    ],
-)
-def test_agents_that_cannot_be_are_refused(parameters: dict, message: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        read(tmp_path / "road.xml", ROAD, **parameters)
 
 
 @pytest.mark.heavy

@@ -131,18 +131,20 @@ def test_a_part_of_a_sequence_can_be_used(tmp_path: Path) -> None:
     assert recording.agents[1].object_id == 8
     with pytest.raises(ConfigurationError, match=r"0000\.txt: n_mobile is 1, expected 0 to 0: 0 vehicles besides"):
         read(tmp_path, n_mobile=1)
+    with pytest.raises(ConfigurationError, match=r"oxts/0000\.txt: first_frame, last_frame are 0, 4, expected 0 to 3"):
+        read(tmp_path, last_frame=4)
 
 
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
         (text(LABEL_FILE, "1.5 1.7 4.1", "1.5 4.1"), "line 2: found 16 values, expected 17, or one more: a score"),
-        (text(LABEL_FILE, "0 7 Car", "4 7 Car"), "line 2: frame: found '4', expected a whole number from 0 to 3"),
-        (text(LABEL_FILE, "0 9 Cyc", "0 7 Cyc"), "line 3: track: found '7', expected every track once in frame 0"),
-        (text(LABEL_FILE, "Cyclist", "Horse"), "line 3: type: found 'Horse', expected one of Car, Van"),
-        (text(LABEL_FILE, "1.5 1.7 4.1", "1.5 1.7 0"), "line 2: length: found '0', expected a size above 0"),
-        (text(LABEL_FILE, "1.73 10.0", "1.73 1e9"), "line 2: z: found '1e9', expected a finite number from"),
-        (text(LABEL_FILE, "Cyclist 0 3", "Cyclist 0 7"), "line 3: occluded: found '7', expected a whole number"),
+        (text(LABEL_FILE, "0 7 Car", "4 7 Car"), "line 2: frame: found 4, expected 0 to 3, and every"),
+        (text(LABEL_FILE, "0 9 Cyc", "0 7 Cyc"), "line 3: frame: found 0, .*every track once in it"),
+        (text(LABEL_FILE, "Cyclist", "Horse"), "line 3.type: found .*'Horse'"),
+        (text(LABEL_FILE, "1.5 1.7 4.1", "1.5 1.7 0"), "line 2.length: found .*, expected `float` > 0"),
+        (text(LABEL_FILE, "1.73 10.0", "1.73 1e9"), "line 2.z: found .*, expected `float` <= 100000"),
+        (text(LABEL_FILE, "Cyclist 0 3", "Cyclist 0 7"), "line 3.occluded: found .*, expected `int` <= 3"),
         (text("calib/0000.txt", "R_rect", "R_other"), "found 0 of R_rect and R0_rect, expected one of them"),
         (text("calib/0000.txt", "R_rect", "R0_rect 1\nR_rect"), "found 2 of R_rect and R0_rect, expected one of them"),
         (text("calib/0000.txt", "R_rect", "P2: 1\nR_rect"), "line 2: found P2 twice, expected it once"),
@@ -172,26 +174,8 @@ def test_missing_files_and_several_sequences_are_refused(tmp_path: Path) -> None
         read(tmp_path, sequence="0001")
 
 
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        (dict(first_frame=-1), "first_frame, last_frame are -1, None, expected 0 or more, ascending"),
-        (dict(first_frame=3, last_frame=2), "first_frame, last_frame are 3, 2, expected 0 or more, ascending"),
-        (dict(last_frame=4), r"oxts/0000\.txt: first_frame, last_frame are 0, 4, expected 0 to 3"),
-    ],
-)
-def test_parts_and_agents_that_are_not_there_are_refused(parameters: dict, message: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        read(write(tmp_path), **parameters)
-
-
-def test_an_empty_line_before_a_pose_is_refused_as_later_poses_would_be_early(tmp_path: Path) -> None:
+def test_empty_lines_may_follow_the_last_pose_alone(tmp_path: Path) -> None:
+    assert len(read(write(tmp_path, oxts=POSITIONS + "\n \n"))) == 4
     lines = POSITIONS.splitlines(keepends=True)
-    folder = write(tmp_path, oxts="".join([*lines[:2], " \n", *lines[2:]]))
-    with pytest.raises(SceneError, match=r"oxts/0000.txt: line 3: found an empty line, expected the pose of a frame"):
-        KittiTracking(path=str(folder), n_infrastructure=0).record(0, None)
-
-
-def test_empty_lines_after_the_last_pose_are_no_frames(tmp_path: Path) -> None:
-    folder = write(tmp_path, oxts=POSITIONS + "\n \n")
-    assert len(KittiTracking(path=str(folder), n_infrastructure=0).record(0, None)) == 4
+    with pytest.raises(SceneError, match=r"oxts/0000.txt: line 3: found an empty line"):
+        read(write(tmp_path, oxts="".join([*lines[:2], " \n", *lines[2:]])))

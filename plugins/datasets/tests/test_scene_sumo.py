@@ -26,11 +26,8 @@ def trace(steps: int = 5, *more: str) -> str:
     """A car that drives east at 10 m/s, a bus 20 m ahead, and a car 400 m away that goes north; 2 s to 2.4 s."""
     lines = ['<?xml version="1.0"?>', "<fcd-export>"]
     for k in range(steps):
-        lines.append(f'<timestep time="{2 + k / 10:.2f}">')
-        lines.append(vehicle("a", 100 + k))
-        lines.append(vehicle("b", 120 + k, kind="bus@b"))
-        lines.append(vehicle("c", 500, k, angle=0.0, kind="DEFAULT_VEHTYPE"))
-        lines += [*more, "</timestep>"]
+        lines += [f'<timestep time="{2 + k / 10:.2f}">', vehicle("a", 100 + k), vehicle("b", 120 + k, kind="bus@b")]
+        lines += [vehicle("c", 500, k, angle=0.0, kind="DEFAULT_VEHTYPE"), *more, "</timestep>"]
     return "\n".join([*lines, "</fcd-export>\n"])
 
 
@@ -86,11 +83,8 @@ def test_the_box_is_behind_the_front_bumper_and_turned_from_north(folder: Path) 
     assert recording.building_height.tolist() == [12.0]
 
 
-def test_objects_far_from_the_route_of_the_ego_are_left_out(folder: Path) -> None:
+def test_objects_far_from_the_route_of_the_ego_are_left_out_and_those_that_leave_vanish(folder: Path) -> None:
     assert np.diff(read(folder).truth_start).tolist() == [2] * 5
-
-
-def test_vehicles_that_leave_the_region_vanish(folder: Path) -> None:
     text = TRACE
     for k in range(3, 5):
         text = text.replace(vehicle("b", 120 + k, kind="bus@b"), vehicle("b", 900, kind="bus@b"))
@@ -166,8 +160,8 @@ def test_damaged_files_are_refused_with_file_line_and_reason(folder: Path, damag
     ("damage", "message"),
     [
         (text("fcd.csv", "id,", "name,"), "line 1: found the columns t, name, .*, expected a time and an id"),
-        (text("fcd.csv", "width", "length"), "line 1: found column 'length' twice"),
-        (text("fcd.csv", ",1.50\n", "\n"), "line 2: found 9 fields, expected 10"),
+        (text("fcd.csv", "width", "length"), "line 1: found the columns .*length.*, expected each once"),
+        (text("fcd.csv", ",1.50\n", "\n"), "line 2: found another number of fields, expected 10"),
         (text("fcd.csv", "100.00", ""), "line 2: found .*, object missing required field `x`"),
         (text("fcd.csv", ",height\n", ",z\n"), "line 2: found .*, expected a width and a height beside the length"),
         (text("fcd.csv", "12.00", "0"), "line 3.length: found .*, expected `float` > 0"),
@@ -179,24 +173,13 @@ def test_damaged_tables_are_refused_with_file_line_and_reason(damage: Damage, me
     assert_refused(read, tmp_path, damage, message)
 
 
-def test_a_path_without_a_single_trace_is_refused(folder: Path) -> None:
-    (folder / "fcd2.csv").write_text(TABLE)
-    with pytest.raises(SceneError, match=r"found 2 traces .* \(fcd\.xml, fcd2\.csv\), expected one"):
-        read(folder)
-    (folder / "net.txt").write_text("")
-    with pytest.raises(SceneError, match=r"net\.txt: found another kind of file, expected \.xml"):
-        read(folder / "net.txt")
-
-
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
         (dict(ego="z"), r"fcd\.xml: ego is 'z', expected the name of a vehicle in the trace from 2 to 2.4 s, such as"),
-        (dict(start_s=1.0), r"fcd\.xml: start_s is 1, expected a time of the trace such as 2"),
-        (dict(start_s=7.0), r"fcd\.xml: start_s is 7, the trace ends at 2.4"),
+        (dict(start_s=1.0), r"fcd\.xml: start_s is 1, expected a time of the trace, 2 to 2.4"),
+        (dict(start_s=7.0), r"fcd\.xml: start_s is 7, expected a time of the trace, 2 to 2.4"),
         (dict(duration_s=0.6), r"fcd\.xml: duration_s is 0.6, expected at most 0.5: the trace ends at 2.4"),
-        (dict(duration_s=0.0), "SumoTrace: duration_s is 0.0, expected 0.001 to 100000"),
-        (dict(radius_m=5.0), "SumoTrace: radius_m is 5.0, expected 20 to 2000"),
     ],
 )
 def test_windows_and_agents_that_are_not_there_are_refused(folder: Path, parameters: dict, message: str) -> None:
@@ -243,13 +226,10 @@ def test_real_networks_are_read(name: str, parameters: dict, buildings: bool) ->
 @pytest.mark.parametrize("ride", ["", ' vehicle="b"'])
 def test_persons_in_a_vehicle_are_no_objects(folder: Path, ride: str) -> None:
     """SUMO gives them the place, angle and speed of their vehicle, and in some traces its id."""
-    lines = []
+    lines, walker = [], '<person id="walker" x="118.00" y="4.00" angle="90.00" speed="1.20" type="DEFAULT_PEDTYPE"/>'
     for line in TRACE.splitlines():
-        lines.append(line)
-        if 'id="b"' in line:
-            seated = line.replace('id="b"', 'id="rider"').replace('type="bus@b"', f'type="DEFAULT_PEDTYPE"{ride}')
-            lines.append(seated.replace("<vehicle", "<person"))
-            lines.append('<person id="walker" x="118.00" y="4.00" angle="90.00" speed="1.20" type="DEFAULT_PEDTYPE"/>')
+        seated = line.replace('id="b"', 'id="rider"').replace('type="bus@b"', f'type="DEFAULT_PEDTYPE"{ride}')
+        lines += [line, seated.replace("<vehicle", "<person"), walker] if 'id="b"' in line else [line]
     (folder / "fcd.xml").write_text("\n".join(lines))
     (folder / "types.rou.xml").write_text(TYPES.replace("</routes>", '<vType id="bus" vClass="bus"/></routes>'))
     scene = read(folder, ego="a")

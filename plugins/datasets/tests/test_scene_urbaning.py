@@ -10,13 +10,11 @@ from typing import Any
 import pytest
 from comparison import FRAMES, assert_same, assert_seen_without_buildings, junction
 from damages import GONE, Damage, assert_refused, value
-from mast_datasets import traffic
 from mast_datasets.urbaning import UrbanIngV2X
 from urbaning_writer import SEQUENCE, SHIFT, TIME_MS, write, write_timesync
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import detection_tables
 from mast_zenoh.scenes.recording import Recording
 
 TIMESYNC = f"dataset/{SEQUENCE}/timesync_info.csv"
@@ -84,9 +82,10 @@ def test_a_twin_has_the_poses_boxes_ids_and_visibility_of_its_source(twin: Path)
 
 
 def test_the_folder_of_a_sequence_is_found_in_its_data_set(twin: Path) -> None:
-    assert read(twin / "dataset" / SEQUENCE, 1).name == SEQUENCE
-    assert read(twin / "dataset" / SEQUENCE, 1, sequence=SEQUENCE).name == SEQUENCE
-    assert read(twin, 1, sequence=SEQUENCE).name == SEQUENCE
+    for path, named in ((f"dataset/{SEQUENCE}", None), (f"dataset/{SEQUENCE}", SEQUENCE), ("", SEQUENCE)):
+        assert read(twin / path, 1, sequence=named).name == SEQUENCE
+    assert {twin / "dataset" / SEQUENCE, twin / LABELS, twin / OWN} < set(UrbanIngV2X(path=str(twin)).inputs())
+    assert UrbanIngV2X(path=str(twin), sequence="other").inputs() == (twin,)
 
 
 def test_one_of_several_sequences_is_chosen_by_name(root: Path) -> None:
@@ -100,12 +99,6 @@ def test_one_of_several_sequences_is_chosen_by_name(root: Path) -> None:
         read(root, sequence="othr")
     with pytest.raises(ConfigurationError, match=r"sequence is 'other', expected '2024.*: the path is that sequence"):
         read(root / "dataset" / SEQUENCE, sequence="other")
-
-
-def test_fewer_agents_play_if_asked_and_the_other_car_stays_an_object(twin: Path) -> None:
-    recording = read(twin, 1, n_infrastructure=1, n_mobile=0)
-    assert recording.agent_names == ("ego", "infra_1")
-    assert junction().agents[1].object_id in recording.truth.id
 
 
 def test_a_car_has_a_box_in_every_frame_although_its_labels_have_gaps(root: Path) -> None:
@@ -132,19 +125,13 @@ def test_a_car_without_labels_has_the_size_in_av_vehicle_data(root: Path) -> Non
     assert recording.truth.size[recording.truth.id == own].tolist() == [[4.8, 1.9, 1.7]] * FRAMES
 
 
-def test_the_cache_tracks_the_files_of_the_sequence(twin: Path) -> None:
-    inputs = UrbanIngV2X(path=str(twin)).inputs()
-    assert {twin / "dataset" / SEQUENCE, twin / LABELS, twin / OWN} < set(inputs)
-    assert UrbanIngV2X(path=str(twin), sequence="other").inputs() == (twin,)
-
-
 def test_an_unknown_type_is_read_and_a_van_is_a_car(root: Path) -> None:
-    change(root / LABELS, lambda content: other_track(content).update(object_type="Animal"))
+    change(root / LABELS, lambda content: other_track(content).update(object_type="Animal", track_id=777))
     change(root / LABELS, lambda content: own_track(content).update(object_type="Van"))
-    recording = read(root, 1)
-    classes = {int(number): CLASSES[k] for number, k in zip(recording.truth.id, recording.truth.class_id, strict=True)}
-    number = other_track(json.loads((root / LABELS).read_text()))["track_id"]
-    assert (classes[number], classes[junction().agents[0].object_id]) == ("unknown", "car")
+    truth = read(root, 1).truth
+    own = junction().agents[0].object_id
+    kinds = [CLASSES[truth.class_id[truth.id == number][0]] for number in (777, own)]
+    assert kinds == ["unknown", "car"]
 
 
 def cell(row: int, column: int, new: str) -> Edit:
@@ -169,7 +156,7 @@ def drop_frame(rows: list[list[str]]) -> None:
         (lambda rows: rows.__delitem__(slice(4, 6)), "found no row vehicle<number>_state"),
         (lambda rows: [row.__delitem__(slice(1, None)) for row in rows], "found no frames, expected at least one"),
         (cell(4, 3, "../1.json"), r"row vehicle1_state, frame 2: found '\.\./1\.json', expected a file name"),
-        (cell(4, 3, f"{TIME_MS}.json"), f"frame 2: found '{TIME_MS}.json', expected a time within 50 ms of"),
+        (cell(4, 3, f"{TIME_MS}.json"), f"frame 2: found '{TIME_MS}.json', expected a file name .* within 50 ms of"),
     ],
 )
 def test_a_damaged_table_of_frames_is_refused_with_file_row_and_frame(root: Path, edit: Edit, message: str) -> None:
@@ -223,29 +210,8 @@ def test_a_missing_file_is_refused_by_name(root: Path) -> None:
         with pytest.raises(SceneError, match=Path(file).name):
             read(root)
         (root / "moved").rename(root / file)
-
-
-def test_a_missing_folder_is_refused_by_name(root: Path) -> None:
-    with pytest.raises(SceneError, match=r"labels/dataset/\*/timesync_info.csv: found no sequence, expected at least"):
+    with pytest.raises(SceneError, match=r"labels/dataset/\*/timesync_info.csv: found no sequence"):
         read(root / "labels")
-
-
-def test_a_table_with_a_quoted_cell_that_never_ends_is_refused(root: Path) -> None:
     (root / TIMESYNC).write_text('"timestamp_ms,1\n')
-    with pytest.raises(SceneError, match=r"timesync_info.csv: not a table of comma-separated values"):
+    with pytest.raises(SceneError, match=r"timesync_info.csv: not a table"):
         read(root)
-
-
-@pytest.mark.parametrize(
-    ("module", "limit", "message"),
-    [
-        (detection_tables, "MAX_FILE_BYTES", r"timesync_info.csv: found \d+ bytes, expected at most 3"),
-        (traffic, "MAX_BOXES", "found more than 3 boxes"),
-    ],
-)
-def test_scenes_beyond_the_limits_are_refused(
-    twin: Path, monkeypatch: pytest.MonkeyPatch, module: Any, limit: str, message: str
-) -> None:
-    monkeypatch.setattr(module, limit, 3)
-    with pytest.raises(SceneError, match=message):
-        read(twin)

@@ -78,7 +78,7 @@ def test_bytes_that_are_not_text_and_lines_without_end_are_refused(file: Path) -
     with pytest.raises(SceneError, match="file: line 2: 'utf-8' codec"):
         list(read_lines(file))
     file.write_bytes(b"a\n" + b"x" * (MAX_LINE + 1) * 3)
-    with pytest.raises(SceneError, match=f"file: line 2: found .* bytes, expected at most {MAX_LINE}"):
+    with pytest.raises(SceneError, match=f"file: line 2: found more than {MAX_LINE} bytes"):
         list(read_lines(file))
 
 
@@ -90,22 +90,12 @@ def test_a_missing_or_truncated_file_is_refused(file: Path) -> None:
         list(read_pieces(file))
 
 
-@pytest.mark.parametrize(("text", "value"), [("1", 1.0), (" -1.5e3 ", -1500.0), ("+.5", 0.5), ("7.", 7.0)])
-def test_decimal_numbers_are_read(text: str, value: float) -> None:
-    assert TextElement(text, Path("file"), "x").number() == value
-
-
-@pytest.mark.parametrize("text", ["", "nan", "inf", "1_000", "0x1", "1e999", "1,5", "٣", "--1", "1 2"])
-def test_other_text_is_no_number(text: str) -> None:
-    with pytest.raises(SceneError, match=r"file: x: found .*, expected a finite number"):
-        TextElement(text, Path("file"), "x").number()
-    with pytest.raises(SceneError, match=r"file: x: found .*, expected a whole number"):
-        TextElement(text, Path("file"), "x").integer()
-
-
-def test_numbers_outside_their_range_are_shown_as_in_the_file() -> None:
-    with pytest.raises(SceneError, match="file: x: found '1e3', expected a finite number from 0 to 10"):
-        TextElement("1e3", Path("file"), "x").number(0, 10)
-    assert TextElement(" 12", Path("file"), "x").integer(0) == 12
-    with pytest.raises(SceneError, match="found '9999999999999999999', expected a whole number"):
-        TextElement("9999999999999999999", Path("file"), "x").integer()
+def test_numbers_are_read_as_python_reads_them_and_anything_else_is_refused() -> None:
+    for text, value in (("1", 1.0), (" -1.5e3 ", -1500.0), ("+.5", 0.5), ("7.", 7.0)):
+        assert TextElement(text, Path("file"), "x").number(-1e4, 1e4) == value
+    assert TextElement(" 12", Path("file"), "x").integer() == 12
+    for text in ("", "nan", "inf", "0x1", "1e999", "1,5", "--1", "1 2", "9" * 5000):
+        with pytest.raises(SceneError, match=r"file: x: found .*, expected a finite number from 0 to 10"):
+            TextElement(text, Path("file"), "x").number(0, 10)
+        with pytest.raises(SceneError, match=r"file: x: found .*, expected a whole number from 0 to"):
+            TextElement(text, Path("file"), "x").integer()

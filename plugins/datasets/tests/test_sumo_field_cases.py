@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mast_datasets import SumoTraffic
-from mast_datasets.sumo_inputs import read_configuration
+from mast_datasets.sumo_simulation import read_configuration
 
 from mast_zenoh.arrays.states import CLASS_INDEX
 

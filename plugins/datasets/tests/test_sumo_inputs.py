@@ -11,12 +11,12 @@ import pytest
 from damages import DAMAGE, damaged
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mast_datasets import SumoTrace, SumoTraffic, sumo_inputs
-from mast_datasets.sumo_inputs import copy_input, read_configuration
+from mast_datasets import SumoTrace, SumoTraffic, sumo_simulation
+from mast_datasets.sumo_simulation import copy_input, read_configuration
 from sumo_network import vehicle, write_network
 
 from mast_zenoh.config.scene_names import parse_scene, recognised
-from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.errors import SceneError
 
 
 def copied(path: Path) -> str:
@@ -31,21 +31,16 @@ def xml(tmp_path: Path, content: str, name: str = "some.add.xml") -> Path:
     return path
 
 
-def test_a_configuration_names_its_files_and_the_options_of_the_traffic(tmp_path: Path) -> None:
-    path = write_network(tmp_path, options='<time><begin value="30"/><end value="90"/></time><scale value="0.5"/>')
+def test_a_configuration_names_its_files_and_the_options_of_the_traffic_alone(tmp_path: Path) -> None:
+    written = '<output><fcd-output value="/nowhere/fcd.xml"/></output><report><log value="log.txt"/></report>'
+    processing = '<processing><step-length value="1"/><collision.action value="teleport"/></processing>'
+    options = '<time><begin value="30"/><end value="90"/></time><scale value="0.5"/>' + written + processing
+    path = write_network(tmp_path, options=options)
     inputs = read_configuration(path)
     assert inputs.net == tmp_path / "crossing.net.xml"
     assert inputs.files == (tmp_path / "crossing.net.xml", tmp_path / "crossing.rou.xml")
     assert (inputs.begin_s, inputs.options) == (30.0, {"begin": "30", "scale": "0.5"})
-
-
-def test_outputs_messages_and_steps_of_a_configuration_are_left_out(tmp_path: Path) -> None:
-    path = write_network(
-        tmp_path,
-        options='<output><fcd-output value="/nowhere/fcd.xml"/></output><report><log value="log.txt"/></report>'
-        '<processing><step-length value="1"/><collision.action value="teleport"/></processing>',
-    )
-    assert read_configuration(path).options == {}
+    assert set(SumoTraffic(path=str(path)).inputs()) >= {path, *inputs.files}
 
 
 @pytest.mark.parametrize(
@@ -54,10 +49,7 @@ def test_outputs_messages_and_steps_of_a_configuration_are_left_out(tmp_path: Pa
         ("<routes/>", "line 1: <routes>: found this root, expected <configuration> or <sumoConfiguration>"),
         ("<configuration/>", "found 0 files in net-file, expected one"),
         ('<configuration><net-file value="a,b"/></configuration>', "found 2 files in net-file, expected one"),
-        (
-            '<configuration><processing>\n<lateral-resolution value="0.8"/></processing></configuration>',
-            "2: .*sublanes",
-        ),
+        ('<configuration>\n<lateral-resolution value="0.8"/></configuration>', "line 2: .*sublanes"),
         ('<configuration><begn value="1"/></configuration>', "option begn is not supported; did you mean 'begin'?"),
         ('<configuration><begin value="-1"/></configuration>', "begin>: value: found '-1', expected a finite number"),
         ('<configuration><scale value="&#10;"/></configuration>', "scale>: value: found '\\\\n', expected 1 to 200"),
@@ -74,9 +66,8 @@ def test_an_invalid_configuration_is_refused_by_line_and_option(tmp_path: Path, 
 
 
 def test_elements_stay_in_their_lines(tmp_path: Path) -> None:
-    path = xml(
-        tmp_path, '<?xml version="1.0"?>\n<!-- a\ncomment -->\n<routes>\n\n<route id="a&lt;b" edges="x\ny"/>\n</routes>'
-    )
+    content = '<?xml version="1.0"?>\n<!-- a\ncomment -->\n<routes>\n\n<route id="a&lt;b" edges="x\ny"/>\n</routes>'
+    path = xml(tmp_path, content)
     assert copied(path).splitlines()[3:] == ["<additional>", "", '<route id="a&lt;b" edges="x y"></route></additional>']
 
 
@@ -117,7 +108,7 @@ def test_what_is_unknown_or_names_a_file_is_refused(tmp_path: Path, content: str
 
 
 def test_a_file_that_unpacks_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sumo_inputs, "MAX_BYTES", 1_000_000)
+    monkeypatch.setattr(sumo_simulation, "MAX_BYTES", 1_000_000)
     path = tmp_path / "bomb.rou.xml.gz"
     path.write_bytes(gzip.compress(b"<routes>" + b" " * 2_000_000 + b"</routes>"))
     with pytest.raises(SceneError, match=r"found more than 1000000 bytes unpacked"):
@@ -151,26 +142,6 @@ def test_one_short_name_means_traces_and_configurations(tmp_path: Path) -> None:
     (path.parent / "fcd.xml").write_text("<fcd-export/>")
     assert parse_scene(f"sumo:{path.parent}")["type"] == "SumoTrace"
     assert SumoTrace.recognises(path.parent)
-
-
-def test_files_of_a_scene_are_its_configuration_and_what_that_names(tmp_path: Path) -> None:
-    path = write_network(tmp_path)
-    assert set(SumoTraffic(path=str(path)).inputs()) >= {path, *read_configuration(path).files}
-
-
-@pytest.mark.parametrize(
-    ("parameters", "problem"),
-    [
-        (dict(rate_hz=3.0), "rate_hz is 3.0, expected one whose frames last whole milliseconds"),
-        (dict(rate_hz=0.5), "rate_hz is 0.5, expected 1 to 20"),
-        (dict(radius_m=5.0), "radius_m is 5.0, expected 20 to 2000"),
-        (dict(n_infrastructure=17), "n_infrastructure is 17, expected 0 to 16"),
-        (dict(n_mobile=-1), "n_mobile is -1, expected 0 to 10000"),
-    ],
-)
-def test_an_invalid_parameter_is_refused(parameters: dict[str, float], problem: str) -> None:
-    with pytest.raises(ConfigurationError, match=problem):
-        SumoTraffic(path="somewhere", **parameters)
 
 
 def test_a_missing_configuration_is_refused_by_name(tmp_path: Path) -> None:

@@ -67,11 +67,9 @@ def test_a_car_beside_its_way_is_where_the_way_is_nearest() -> None:
 
 
 def test_at_the_end_of_a_way_two_points_are_left() -> None:
-    way = way_from("on_0", [], 500.0, LANES.__getitem__)
-    position, speed = way.ahead(250.0)
-    assert position.shape == (2, 2)
+    position, speed = way_from("on_0", [], 500.0, LANES.__getitem__).ahead(250.0)
+    assert (position.shape, len(speed)) == ((2, 2), 2)
     assert np.hypot(*(position[1] - position[0])) == pytest.approx(1.0)
-    assert len(speed) == 2
 
 
 def test_a_car_stops_for_red_and_for_yellow_if_it_can() -> None:

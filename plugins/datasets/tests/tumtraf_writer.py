@@ -39,6 +39,8 @@ def openlabel(recording: Recording, frame: int, time_s: float, car: int, pole: i
     sensor = {"type": "sensor", "parent": "s110_base", "children": []}
     pose = (BASE @ pole_pose).tolist()
     transform = (to_pole @ matrix(*lidar_pose(recording, frame, car))).tolist()
+    car_to_pole = {"src": CAR, "dst": POLE, "transform_src_to_dst": {"matrix4x4": transform}}
+    properties = {"timestamp": time_s, "transforms": {f"{CAR}_to_{POLE}": car_to_pole}}
     return {
         "metadata": {"schema_version": "1.0.0"},
         "coordinate_systems": {
@@ -46,21 +48,7 @@ def openlabel(recording: Recording, frame: int, time_s: float, car: int, pole: i
             POLE: sensor | {"pose_wrt_parent": {"matrix4x4": pose}},
             "s110_camera_basler_south1_8mm": sensor | {"pose_wrt_parent": {"quaternion": [0, 0, 0, 1]}},
         },
-        "frames": {
-            str(frame): {
-                "frame_properties": {
-                    "timestamp": time_s,
-                    "transforms": {
-                        f"{CAR}_to_{POLE}": {
-                            "src": CAR,
-                            "dst": POLE,
-                            "transform_src_to_dst": {"matrix4x4": transform},
-                        }
-                    },
-                },
-                "objects": cuboids(recording, frame, to_pole),
-            }
-        },
+        "frames": {str(frame): {"frame_properties": properties, "objects": cuboids(recording, frame, to_pole)}},
     }
 
 

@@ -75,15 +75,8 @@ def tracks(recording: Recording, times: list[int]) -> list[dict[str, Any]]:
     for number in np.unique(truth.id):
         rows = np.flatnonzero(truth.id == number)
         sizes = truth.size[rows] if number % 2 else truth.size[rows[:1]]
-        result.append(
-            {
-                "track_id": int(number),
-                "object_type": TYPES[CLASSES[truth.class_id[rows[0]]]],
-                "timestamps": [times[k] / 1000 for k in frame[rows]],
-                "positions": (truth.position[rows] + SHIFT).tolist(),
-                "orientations": truth.yaw[rows].tolist(),
-                "dimensions": sizes.tolist(),
-                "attributes": {"color": "red"},
-            }
-        )
+        track = {"track_id": int(number), "object_type": TYPES[CLASSES[truth.class_id[rows[0]]]]}
+        track |= {"timestamps": [times[k] / 1000 for k in frame[rows]], "orientations": truth.yaw[rows].tolist()}
+        track |= {"positions": (truth.position[rows] + SHIFT).tolist(), "dimensions": sizes.tolist()}
+        result.append(track | {"attributes": {"color": "red"}})
     return result
