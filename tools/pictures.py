@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 import tempfile
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,7 +22,8 @@ from mast_zenoh.errors import nearest
 from mast_zenoh.launch import twin
 from mast_zenoh.report import html
 from mast_zenoh.study import definition, interface
-from mast_zenoh.viewer.page.page import ViewerServer, viewer_page
+from mast_zenoh.viewer.page.live_server import PageServer
+from mast_zenoh.viewer.page.page import policy, viewer_page
 
 FOLDER = Path(__file__).parents[1] / "docs" / "images"
 #: The frame of the attacked run that pictures show: long after the attack began.
@@ -79,16 +79,13 @@ def side_by_side(out: Path, workshop: Workshop) -> None:
 
 def viewer(out: Path, workshop: Workshop) -> None:
     """A screenshot of `mast view`; raises Unavailable without playwright or Chromium."""
-    with chromium.browser() as browser, ViewerServer(viewer_page([workshop.attacked.path], _FRAME)) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        try:
-            page = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="dark")
-            page.goto(server.url)
-            page.wait_for_selector(".viewer.v-ready", timeout=60_000)
-            page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-            page.screenshot(path=str(out))
-        finally:
-            server.shutdown()
+    shown = viewer_page([workshop.attacked.path], _FRAME)
+    with chromium.browser() as browser, PageServer(shown, policy()) as server:
+        page = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="dark")
+        page.goto(server.url)
+        page.wait_for_selector(".viewer.v-ready", timeout=60_000)
+        page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        page.screenshot(path=str(out))
 
 
 def search(out: Path, workshop: Workshop) -> None:

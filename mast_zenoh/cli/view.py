@@ -65,14 +65,15 @@ def view(
 
 def _show_finished(folders: list[Path], frame: int | None, port: int, browser: bool) -> None:
     """Show one finished run, or two, in a browser until Ctrl-C."""
-    from mast_zenoh.viewer.page.page import ViewerServer, viewer_page
+    from mast_zenoh.viewer.page.live_server import PageServer
+    from mast_zenoh.viewer.page.page import policy, viewer_page
 
     with reading(folders[-1]):
         page = viewer_page(folders, frame)
-    with ViewerServer(page, port) as server:
+    with PageServer(page, policy(), port) as server:
         announce(server.url, browser)
         with suppress(KeyboardInterrupt):
-            server.serve_forever()
+            server.wait()
     _out.print()
 
 
@@ -132,7 +133,7 @@ def observe(target: str, run: str, port: int, allowed: AllowedCode, *, browser: 
 
 def announce(url: str, browser: bool) -> None:
     """Print the address of a page on this computer, and open it if wanted."""
-    from mast_zenoh.viewer.loopback import tunnel
+    from mast_zenoh.viewer.page.live_server import tunnel
 
     print_line(f"view: {url}")
     print_line(f"from another computer: {tunnel(url)}")

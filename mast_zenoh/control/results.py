@@ -15,19 +15,6 @@ from msgspec import UNSET, Meta, UnsetType
 
 from mast_zenoh.config.resolved import NodeSpec, has_topics_outside
 from mast_zenoh.control import codec
-from mast_zenoh.control.codec import (
-    ONE_LINE,
-    OTHERS,
-    ControlMessage,
-    Finite,
-    FrameOrNone,
-    Id,
-    Line,
-    Positive,
-    Text,
-    Versions,
-    Whole,
-)
 from mast_zenoh.control.failures import MAX_HANDLERS, FailureEntry
 from mast_zenoh.control.tables import TablePart, checked_columns
 from mast_zenoh.errors import MessageError
@@ -81,45 +68,45 @@ def unpack(payload: bytes) -> Any:
         raise MessageError(f"a result: not as it was packed: {type(error).__name__}: {str(error)[:100]}") from None
 
 
-_Reason = Annotated[str, Meta(max_length=200, pattern=ONE_LINE)]
-_Times = dict[Whole, Whole]
+_Reason = Annotated[str, Meta(max_length=200, pattern=codec.ONE_LINE)]
+_Times = dict[codec.Whole, codec.Whole]
 _PER_KEY = Meta(max_length=4096)  # keys of a run
 
 
-class _Churn(ControlMessage, frozen=True):
-    frame: Whole
+class _Churn(codec.ControlMessage, frozen=True):
+    frame: codec.Whole
     node: Annotated[str, Meta(max_length=256)]
     what: Literal[LOST, BACK]  # type: ignore[valid-type]
 
 
-class _ClockOffset(ControlMessage, frozen=True):
+class _ClockOffset(codec.ControlMessage, frozen=True):
     offset_ms: Annotated[float, Meta(ge=-1e12, le=1e12)]
     round_trip_ms: Annotated[float, Meta(ge=-1e12, le=1e12)]
 
 
-class _Report(ControlMessage, frozen=True, kw_only=True):
+class _Report(codec.ControlMessage, frozen=True, kw_only=True):
     """What a node hands in at its end, as runtime.protocol.node makes it."""
 
     results: Any
-    rejected: Annotated[dict[Line, Whole], _PER_KEY]
-    first_rejected: Annotated[dict[Line, tuple[FrameOrNone, _Reason]], _PER_KEY]
-    foreign: Annotated[dict[Line, Whole], _PER_KEY]
-    invalid: Annotated[dict[Line, tuple[Positive, _Reason]], _PER_KEY]
-    unsigned: Whole
-    process: Id
+    rejected: Annotated[dict[codec.Line, codec.Whole], _PER_KEY]
+    first_rejected: Annotated[dict[codec.Line, tuple[codec.FrameOrNone, _Reason]], _PER_KEY]
+    foreign: Annotated[dict[codec.Line, codec.Whole], _PER_KEY]
+    invalid: Annotated[dict[codec.Line, tuple[codec.Positive, _Reason]], _PER_KEY]
+    unsigned: codec.Whole
+    process: codec.Id
     failures: Annotated[list[FailureEntry], Meta(max_length=MAX_HANDLERS)]
-    last_frame: FrameOrNone
-    cpu_s: Finite
+    last_frame: codec.FrameOrNone
+    cpu_s: codec.Finite
     arrived_ns: Annotated[dict[str, _Times], _PER_KEY]
-    unaccepted: Annotated[list[Line], _PER_KEY] | UnsetType = UNSET
-    versions: Versions | UnsetType = UNSET
+    unaccepted: Annotated[list[codec.Line], _PER_KEY] | UnsetType = UNSET
+    versions: codec.Versions | UnsetType = UNSET
     clock: _ClockOffset | UnsetType = UNSET
 
 
 class _DriverReport(_Report, frozen=True, kw_only=True):
-    frames: Whole
-    wall_s: Finite
-    stop_reason: Text
+    frames: codec.Whole
+    wall_s: codec.Finite
+    stop_reason: codec.Text
     sent_ns: _Times
     churn: list[_Churn]
 
@@ -136,7 +123,7 @@ def decode_result(payload: bytes, node: str, *, drives: bool) -> dict[str, Any]:
         checked(report.results)
     except TypeError as error:
         raise MessageError(f"result: {error}") from None
-    receives = {"epoch", "stop", f"leave/{node}", f"drain/{node}", OTHERS}
+    receives = {"epoch", "stop", f"leave/{node}", f"drain/{node}", codec.OTHERS}
     if not drives and (unexpected := report.invalid.keys() - receives):
         raise MessageError(f"result: invalid: found {min(unexpected)!r:.60}, which {node} does not receive")
     return result
@@ -159,7 +146,7 @@ def encode_part(process: str, part: TablePart) -> bytes:
 def decode_part(payload: bytes) -> tuple[str, TablePart]:
     """A node's process, and a part of one of its tables; raises MessageError."""
     codec.fits(payload, "result", MAX_RESULT)
-    kind = tuple[Id, Annotated[str, Meta(max_length=64)], Whole, dict[Any, Any]]
+    kind = tuple[codec.Id, Annotated[str, Meta(max_length=64)], codec.Whole, dict[Any, Any]]
     process, table, number, columns = codec.converted(unpack(payload), kind, "result")
     return process, TablePart(table, number, checked_columns(table, columns))
 

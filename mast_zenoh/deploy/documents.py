@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache, partial
 from itertools import pairwise
 from typing import Any
 
 import yaml
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.deploy.docker import BASE, USER, launcher_tag
@@ -37,7 +39,6 @@ HOLDER = "certificates"  # the service that makes the credentials and keeps them
 KEYS = "/keys"  # where it has the credentials of all
 
 _SECRETS = "/run/secrets"
-_AT_ONCE = {"interval": "1s", "timeout": "10s", "retries": 60, "start_period": "60s"}
 _NAME = re.compile(r"[A-Za-z0-9][\w.-]*")
 
 
@@ -57,65 +58,40 @@ class Launcher:
     sources: str | None = None
 
 
-# -- YAML --------------------------------------------------------------------------------------------------------
-
-
 class _Interpolated(str):
     """Text in which Compose replaces `${VARIABLE:-default}`."""
 
 
-class _Merge(str):
-    """The key whose mapping is merged into the one that has it."""
-
-
-class _Anchored(dict[str, Any]):
-    """The settings of all services: written once, with an anchor."""
-
-
-_MERGE = _Merge("<<")
-
-
 class _Dumper(yaml.SafeDumper):  # type: ignore[misc]
     def ignore_aliases(self, data: Any) -> bool:
-        return not isinstance(data, _Anchored)
-
-    def generate_anchor(self, node: Any) -> str:
-        return "node"
+        return True
 
     def text(self, value: str) -> Any:
         """A scalar, on one line; `$` is doubled, for Compose."""
         doubled = value if isinstance(value, _Interpolated) else value.replace("$", "$$")
         return self.represent_scalar("tag:yaml.org,2002:str", doubled, style=None if value.isprintable() else '"')
 
-    def merge(self, value: str) -> Any:
-        return self.represent_scalar("tag:yaml.org,2002:merge", value)
-
-    def sequence(self, items: list[Any]) -> Any:
-        return self.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=not _nested(items))
-
-    def mapping(self, items: dict[str, Any]) -> Any:
-        return self.represent_mapping("tag:yaml.org,2002:map", items, flow_style=not _nested(items.values()))
-
-
-def _nested(items: Iterable[Any]) -> bool:
-    return any(isinstance(item, (dict, list)) for item in items)
-
 
 _Dumper.add_representer(str, _Dumper.text)
 _Dumper.add_representer(_Interpolated, _Dumper.text)
-_Dumper.add_representer(_Merge, _Dumper.merge)
-_Dumper.add_representer(list, _Dumper.sequence)
-_Dumper.add_representer(dict, _Dumper.mapping)
-_Dumper.add_representer(_Anchored, _Dumper.mapping)
 
 
-def dump(content: Mapping[str, Any]) -> str:
-    """The YAML text; lists and mappings of plain values are on one line."""
-    options = {"sort_keys": False, "width": float("inf"), "allow_unicode": True}
-    return str(yaml.dump(dict(content), Dumper=_Dumper, **options))
+def on_one_line(value: Any) -> str:
+    """A plain value as YAML."""
+    options = {"sort_keys": False, "width": float("inf"), "allow_unicode": True, "default_flow_style": True}
+    return str(yaml.dump(value, Dumper=_Dumper, **options)).removesuffix("\n").removesuffix("\n...")
 
 
-# -- compose files -----------------------------------------------------------------------------------------------
+@cache
+def _template() -> Template:
+    environment = Environment(
+        loader=PackageLoader("mast_zenoh.deploy"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {"yaml": on_one_line, "json": json.dumps}
+    return environment.get_template("compose.yml.j2")
 
 
 def project(run: str) -> str:
@@ -128,7 +104,7 @@ def container(run: str, node: str) -> str:
     return f"{project(run)}-{node}"
 
 
-def compose(
+def compose_text(
     resolved: Resolved,
     run: str,
     *,
@@ -138,8 +114,8 @@ def compose(
     environment: Mapping[str, str] | None = None,
     patience_s: float = 10.0,
     launcher: Launcher | None = None,
-) -> dict[str, Any]:
-    """The compose file of a run as plain values.
+) -> str:
+    """The compose file of a run.
 
     user:     UID:GID of all processes inside; on a secure mesh it must own the credentials
     environment: variables of all processes inside, besides the image's own; with the launcher inside, also those of
@@ -149,158 +125,59 @@ def compose(
 
     Raises ConfigurationError for a node's name that Compose does not allow.
     """
-    check_names(resolved, inside=launcher is not None)
+    inside = launcher is not None
+    check_names(resolved, inside=inside)
     endpoint = levels.endpoint(secure, f"tcp/{ROUTER}:{PORT}")
-    common = _Anchored(
-        image=image if launcher is None else _Interpolated(f"${{MAST_IMAGE:-{image}}}"),
-        **_build(launcher, "node"),
-        user=user,
-        **_environment(environment, inside=launcher is not None),
-        init=True,
-        read_only=True,
-        tmpfs=["/tmp:mode=1777"],
-        cap_drop=["ALL"],
-        security_opt=["no-new-privileges:true"],
-        restart="no",
-        cpus=1.0,
-        mem_limit="1g",
-        pids_limit=200,
-        healthcheck={
-            "test": ["CMD", "test", "-e", f"/tmp/{UP}"],
-            "interval": "10s",
-            "timeout": "10s",
-            "retries": 3,
-            "start_period": "60s",
-        },
-    )
-    credential_files = (AUTHORITY, CONTROL) if secure == "tls" else (AUTHORITY, CERTIFICATE, KEY, CONTROL)
-    files: dict[str, Any] = {}
-
-    def service(name: str, words: list[str], networks: list[str], option: str, secrets: tuple[str, ...]) -> Any:
-        options: dict[str, Any] = {"container_name": container(run, name), "labels": {LABEL: run}, "networks": networks}
-        if secure == "open":
-            return {_MERGE: common, **options, "command": words}
-        if launcher is None:
-            files.update({f"{name}_{file}": {"file": f"./{CREDENTIALS}/{name}/{file}"} for file in secrets})
-            options["secrets"] = [{"source": f"{name}_{file}", "target": file} for file in secrets]
-        return {_MERGE: common, **options, "command": [*words, *option.split()]}
-
     listen = levels.endpoint(secure, f"tcp/0.0.0.0:{PORT}")
-    words = ["--router", "--run", run, "--listen", listen, "--patience", f"{patience_s:g}"]
-    settings = f"--settings {_SECRETS}/{ROUTER_SETTINGS}"
-    services = {ROUTER: service(ROUTER, words, ["launcher", "wired", "wireless"], settings, (ROUTER_SETTINGS,))}
-    services[ROUTER]["ports"] = [f"127.0.0.1::{PORT}"]
-    for name in resolved.nodes:
-        patience = patience_s + longest_disconnection_s(resolved, name)
-        words = ["--name", name, "--run", run, "--endpoint", endpoint, "--patience", f"{patience:g}"]
-        network = "wireless" if is_mobile(resolved, name) else "wired"
-        services[name] = service(name, words, [network], f"--credentials {_SECRETS}", credential_files)
-        services[name]["depends_on"] = [ROUTER]
-    networks: dict[str, Any] = {"launcher": {"labels": {LABEL: run}}}
-    networks |= {name: {"internal": True, "labels": {LABEL: run}} for name in ("wired", "wireless")}
-    content: dict[str, Any] = {"x-node": common, "services": services, "networks": networks}
-    if launcher is not None:
-        return _with_launcher(content, resolved, run, launcher, secure, endpoint)
-    return content | ({"secrets": files} if files else {})
-
-
-def _with_launcher(
-    content: dict[str, Any], resolved: Resolved, run: str, launcher: Launcher, secure: str, endpoint: str
-) -> dict[str, Any]:
-    """A compose file with the launcher inside, and with the maker of the credentials."""
-    services, networks, common = content["services"], content["networks"], content["x-node"]
-    name = project(run)
-    labels = {"labels": {LABEL: run}}
-    volumes: dict[str, Any] = {"results": {"name": f"{name}-results", **labels}}
-    del networks["launcher"], services[ROUTER]["ports"]
-    for network, options in networks.items():
-        options["name"] = f"{name}-{network}"
-    services[ROUTER]["networks"] = [*networks]
-    what = [launcher.scenario, *(word for setting in launcher.settings for word in ("--set", setting))]
-    what += ["--run", run, "--secure", secure]
-    own_files = [f"{launcher.folder}:{launcher.folder}:ro"] if launcher.folder else []
-
-    def service(name: str, command: list[str], volumes: list[str], **more: Any) -> dict[str, Any]:
-        image = {"image": _Interpolated(launcher_tag(common["image"])), **_build(launcher, LAUNCHER)}
-        volumes = [*volumes, *own_files]
-        own = {"container_name": container(run, name), **labels, "command": command, "volumes": volumes}
-        return {_MERGE: common, **image, **own, **more}
-
-    for node in resolved.nodes:
-        services[node]["command"] = [*services[node]["command"], "--again"]
-    frames = ["--frames", _Interpolated(f"${{MAST_FRAMES:-{resolved.frames}}}")]
-    services[LAUNCHER] = service(
-        LAUNCHER,
-        ["deploy", "join", *what, "--endpoint", endpoint, *frames],
-        ["results:/results"],
-        depends_on={node: {"condition": "service_started"} for node in services},
-        networks=["wired"],
-        working_dir="/results",
-        mem_limit="2g",
-        stop_grace_period="30s",
-        healthcheck={"disable": True},
+    settings, credentials = (
+        ([], []) if secure == "open" else (["--settings", f"{_SECRETS}/{ROUTER_SETTINGS}"], ["--credentials", _SECRETS])
     )
-    if secure != "open":
-        uid, gid = common["user"].split(":")
-        tmpfs = {"type": "tmpfs", "device": "tmpfs", "o": f"size=1m,mode=0700,uid={uid},gid={gid}"}
-        for node, options in services.items():
-            volumes[f"keys-{node}"] = {"name": f"{name}-keys-{node}", **labels, "driver_opts": tmpfs}
-            options["volumes"] = [*options.get("volumes", ()), f"keys-{node}:{_SECRETS}:ro"]
-            if node != LAUNCHER:
-                needs = {ROUTER: {"condition": "service_started"}} if node != ROUTER else {}
-                options["depends_on"] = needs | {HOLDER: {"condition": "service_healthy"}}
-        services[LAUNCHER]["command"] += ["--credentials", _SECRETS]
-        first = service(
-            HOLDER,
-            ["deploy", HOLDER, *what],
-            [f"keys-{node}:{KEYS}/{node}" for node in services],
-            network_mode="none",
-            healthcheck={"test": common["healthcheck"]["test"], **_AT_ONCE},
-        )
-        content["services"] = {HOLDER: first, **services}
-    return {**content, "volumes": volumes}
-
-
-def _environment(values: Mapping[str, str] | None, *, inside: bool) -> dict[str, Any]:
-    passed: dict[str, str | None] = {**(dict.fromkeys(NUMERIC_VARIABLES) if inside else {}), **(values or {})}
-    return {"environment": passed} if passed else {}
-
-
-def _build(launcher: Launcher | None, target: str) -> dict[str, Any]:
-    if launcher is None or launcher.sources is None:
-        return {}
-    base = _Interpolated(f"${{MAST_BASE:-{BASE}}}")
-    build = {"context": launcher.sources, "dockerfile": "deploy/Dockerfile", "target": target, "args": {"BASE": base}}
-    return {"build": build}
-
-
-def compose_text(resolved: Resolved, run: str, **options: Any) -> str:
-    """The compose file of a run; the options are the same as for `compose`."""
-    launcher: Launcher | None = options.get("launcher")
-    if launcher is None:
-        usage = (
-            "`mast deploy up` wrote this file\n"
-            "# and starts its services. Nodes get their configuration and return their results over the mesh.\n"
-        )
-    else:
-        usage = (
-            "`mast deploy write` wrote it. Play it:\n"
-            "#     docker-compose -f FILE up            (or: docker compose -f FILE up --exit-code-from launcher)\n"
-            f"#     docker cp {container(run, LAUNCHER)}:/results/. results\n"
-            "#     docker-compose -f FILE down          (with --volumes the results go, too)\n"
-            "# MAST_FRAMES: number of frames; MAST_IMAGE: image of the nodes (the launcher's: MAST_IMAGE-launcher).\n"
-            "# Images: `mast deploy image --launcher` builds them from the packages that are installed. Without a\n"
-            "# registry, add --base IMAGE: one that this machine has, with Python 3.11 and venv (docs/deploy.md).\n"
-        )
-        if launcher.sources:
-            usage += "# Compose builds missing images, with downloads, on MAST_BASE.\n"
-    return f"{_heading(resolved, run, options)}. {usage}{dump(compose(resolved, run, **options))}"
-
-
-def _heading(resolved: Resolved, run: str, options: Mapping[str, Any]) -> str:
-    secure = options.get("secure", "open")
-    names = json.dumps(run), json.dumps(resolved.name)  # without line breaks
-    return f"# The run {names[0]} of the scenario {names[1]}, security level {secure}"
+    commands = {ROUTER: ["--router", "--run", run, "--listen", listen, "--patience", f"{patience_s:g}", *settings]}
+    for name in resolved.nodes:
+        patience = f"{patience_s + longest_disconnection_s(resolved, name):g}"
+        words = ["--name", name, "--run", run, "--endpoint", endpoint, "--patience", patience, *credentials]
+        commands[name] = words + ["--again"] * inside
+    files = (AUTHORITY, CONTROL) if secure == "tls" else (AUTHORITY, CERTIFICATE, KEY, CONTROL)
+    content: dict[str, Any] = {
+        "run": run,
+        "scenario": resolved.name,
+        "project": project(run),
+        "container": partial(container, run),
+        "labels": on_one_line({LABEL: run}),
+        "secure": secure,
+        "image": image,
+        "user": user,
+        "environment": dict(environment or {}),
+        "networks": {name: "wireless" if is_mobile(resolved, name) else "wired" for name in resolved.nodes},
+        "commands": commands,
+        "credentials": {ROUTER: [ROUTER_SETTINGS], **dict.fromkeys(resolved.nodes, files)},
+        "launcher": launcher,
+        "base": BASE,
+        "folder": CREDENTIALS,
+        "secrets": _SECRETS,
+        "port": PORT,
+        "up": UP,
+    }
+    if launcher is not None:
+        what = [launcher.scenario, *(word for setting in launcher.settings for word in ("--set", setting))]
+        what += ["--run", run, "--secure", secure]
+        image = f"${{MAST_IMAGE:-{image}}}"
+        keyed = [] if secure == "open" else [*commands, LAUNCHER]
+        frames = ["--frames", _Interpolated(f"${{MAST_FRAMES:-{resolved.frames}}}")]
+        commands[LAUNCHER] = ["deploy", "join", *what, "--endpoint", endpoint, *frames, *credentials]
+        uid, gid = user.split(":")
+        content |= {
+            "what": what,
+            "image": _Interpolated(image),
+            "image_of_launcher": _Interpolated(launcher_tag(image)),
+            "environment": {**dict.fromkeys(NUMERIC_VARIABLES), **content["environment"]},
+            "own_files": [f"{launcher.folder}:{launcher.folder}:ro"] if launcher.folder else [],
+            "keyed": keyed,
+            "key_folders": [f"keys-{name}:{KEYS}/{name}" for name in keyed],
+            "launcher_volumes": ["results:/results", *([f"keys-{LAUNCHER}:{_SECRETS}:ro"] if keyed else [])],
+            "tmpfs": {"type": "tmpfs", "device": "tmpfs", "o": f"size=1m,mode=0700,uid={uid},gid={gid}"},
+        }
+    return re.sub(r"\n\n+", "\n", _template().render(content))
 
 
 def check_names(resolved: Resolved, *, inside: bool = False) -> None:

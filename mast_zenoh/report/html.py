@@ -19,16 +19,8 @@ from mast_zenoh.metrics.estimates import column_name
 from mast_zenoh.metrics.study_results import StudyFacts, StudyRow, plural
 from mast_zenoh.report import comparison, findings
 from mast_zenoh.report.comparison import Reference
+from mast_zenoh.report.figures import of_run as figures_of_run
 from mast_zenoh.report.figures.drawing import RenderedFigure
-from mast_zenoh.report.figures.of_run import (
-    Driven,
-    frame_choice,
-    rendered,
-    run_figures,
-    save_user_figures,
-    study_figures,
-    user_figures,
-)
 from mast_zenoh.report.figures.view import PANELS, check_frame, choose_common_frame, choose_frame, frame_view, settled
 from mast_zenoh.report.findings import details, headline, of_compared
 from mast_zenoh.report.findings.adversaries import attacks, limits
@@ -37,31 +29,9 @@ from mast_zenoh.report.findings.changes import largest_change
 from mast_zenoh.report.findings.defence import of_pictures
 from mast_zenoh.report.findings.results import unsound
 from mast_zenoh.report.findings.words import defence_line, said, text
-from mast_zenoh.report.narrative.study import (
-    NO_CHANGE,
-    compare,
-    comparisons_made,
-    other_changes,
-    reservations,
-    result,
-    titled,
-)
+from mast_zenoh.report.narrative import study as narrative
 from mast_zenoh.report.run_figure import FigureContext
-from mast_zenoh.report.tables.of_run import (
-    NEES_TITLE,
-    achieved_table,
-    cause_table,
-    check_rows,
-    conduct_table,
-    confidence_tables,
-    driven_table,
-    driving_table,
-    latency_tables,
-    message_table,
-    nees_table,
-    suspension_table,
-    undecided_table,
-)
+from mast_zenoh.report.tables import of_run as tables_of_run
 from mast_zenoh.report.tables.pictures import picture_table
 from mast_zenoh.report.tables.scores import Cell, ScoreTable, Value, number, score_table, signed
 from mast_zenoh.report.tables.study import difference_title, sections, side_by_side
@@ -212,7 +182,7 @@ def write_page(
     estimate = _estimate(run, reference)
     if frame is None:
         chosen = choose_frame(run, reference.run if reference else None, estimate)
-        frame_note = frame_choice(run, estimate, reference.name if reference else "")
+        frame_note = figures_of_run.frame_choice(run, estimate, reference.name if reference else "")
     else:
         chosen, frame_note = check_frame(run, frame), ""
         if not settled(run, np.array([frame])).all():
@@ -259,7 +229,7 @@ def write_study_report(
     views = {label: view for label, view in frame_views.items() if view is not None}
     if any(estimate not in view.boxes for view in views.values()):  # of an older run
         estimate = "picture"
-    figures = study_figures(folders, table, views, estimate, chosen=frame is None)
+    figures = figures_of_run.study_figures(folders, table, views, estimate, chosen=frame is None)
     car, car_figures = _driven(driven)
     figures |= car_figures
     for each in figures.values():
@@ -274,11 +244,11 @@ def write_study_report(
         "facts": facts_of_compared(folders),
         "figures": figures,
         **_score_rows(table),
-        "nees": nees_table(
+        "nees": tables_of_run.nees_table(
             {label: run.files.summary for label, run in folders.items()},
             next((run.ego for run in folders.values() if run.ego), "ego"),
         ),
-        "nees_title": NEES_TITLE,
+        "nees_title": tables_of_run.NEES_TITLE,
         "car": car,
         "pages": pages,
     }
@@ -291,7 +261,7 @@ def _driven(folders: tuple[Path, Path] | None) -> tuple[list[str], dict[str, Ren
         return [], {}
     run = Run(folders[0])
     reference = comparison.reference(run, folders[1])
-    drawn = rendered(Driven(), FigureContext(run, None, reference=reference))
+    drawn = figures_of_run.rendered(figures_of_run.Driven(), FigureContext(run, None, reference=reference))
     happened = [*attacks(run), *of_cars(run, reference)]
     return [f"{each}." for each in said(run, happened)], {} if drawn is None else {drawn.name: drawn}
 
@@ -323,15 +293,16 @@ def _write_run(
     study: the folder of the study that the report links back to
     """
     run, reference = context.run, context.reference
-    figures, own = run_figures(context), user_figures(context, files)
+    figures, own = figures_of_run.run_figures(context), figures_of_run.user_figures(context, files)
     runs = {reference.name: reference.run, run.name: run} if reference is not None else {run.name: run}
     scores = _scores(runs, reference.name if reference else None)
     for each in figures.values():
         each.save(run.path / "figures")
-    save_user_figures(own, run.path / "figures")
+    figures_of_run.save_user_figures(own, run.path / "figures")
     shown_runs = {run.name: run} | ({reference.name: reference.run} if reference is not None else {})
     viewer, problems = _viewer(shown_runs, context.view.index if context.view else None)
     limited = limits(run, reference)
+    beside = (reference.run, reference.name) if reference else ()
     content = {
         "title": f"Run {run.files.record.get('id', run.name)}",
         "headline": headline(run, reference),
@@ -349,27 +320,27 @@ def _write_run(
         "figures": figures,
         "user_figures": own,
         **(_score_rows(scores) if run.files.summary else {"rows": []}),
-        "messages": message_table(run),
-        "confidence": confidence_tables(run),
+        "messages": tables_of_run.message_table(run),
+        "confidence": tables_of_run.confidence_tables(run),
         "pictures": picture_table(run),
         "of_pictures": text(run, of_pictures(run)),
         "interposers": interposers(run),
-        "suspensions": suspension_table(run),
-        "undecided": undecided_table(run),
-        "conduct": conduct_table(run),
+        "suspensions": tables_of_run.suspension_table(run),
+        "undecided": tables_of_run.undecided_table(run),
+        "conduct": tables_of_run.conduct_table(run),
         "trust": defence_line(run),
-        "achieved": achieved_table(run, limited),
+        "achieved": tables_of_run.achieved_table(run, limited),
         "limited": [(each.who[0], *said(run, [each], capitals=False)) for each in limited],
-        "driven": driven_table(run, reference.run, reference.name) if reference else driven_table(run),
+        "driven": tables_of_run.driven_table(run, *beside),
         "cars": text(run, of_cars(run, reference)),
-        "driving": driving_table(run, reference.run, reference.name) if reference else driving_table(run),
+        "driving": tables_of_run.driving_table(run, *beside),
         "effects": WITH_COLUMN,
         "bad_verdicts": BAD,
         "results": run.files.results,
-        "blame": cause_table({run.name: run.files.summary}) if run.faulted or run.withholds else None,
-        "checks": check_rows(run.files.checks),
+        "blame": tables_of_run.cause_table({run.name: run.files.summary}) if run.faulted or run.withholds else None,
+        "checks": tables_of_run.check_rows(run.files.checks),
         "healed": healing(run),
-        "latency": latency_tables(run.files.summary),
+        "latency": tables_of_run.latency_tables(run.files.summary),
         "wires": wire_rows(run),
         "security": _security(run),
         "nodes": [(name, node_row(run, name)) for name in run.files.record.get("nodes", {})],
@@ -457,14 +428,14 @@ def write_trials_page(
     own_headline, own_reading: what comes before errors of estimates, such as what happened to driven cars; or empty.
                   Errors are then described above their tables
     """
-    rows, facts = titled(rows, facts)
-    comparisons = compare(rows, facts.baseline)
+    rows, facts = narrative.titled(rows, facts)
+    comparisons = narrative.compare(rows, facts.baseline)
     own_tables = [(each.title, each.about, each.on_page()) for each in tables]
     parts = sections(rows, facts.baseline, comparisons)
-    errors = result(rows, facts, comparisons)
+    errors = narrative.result(rows, facts, comparisons)
     # Errors of single kinds may be unclear where the study's own measure is clear.
-    named = not own_headline or (errors.startswith(NO_CHANGE) and not own_reading)
-    changes = [*[errors] * (not named), *other_changes(rows, facts, comparisons)]
+    named = not own_headline or (errors.startswith(narrative.NO_CHANGE) and not own_reading)
+    changes = [*[errors] * (not named), *narrative.other_changes(rows, facts, comparisons)]
     scores, title = side_by_side(rows), difference_title(rows, facts.baseline)
     content = {
         "title": f"Study {facts.name}",
@@ -473,14 +444,14 @@ def write_trials_page(
         "failures": facts.failures,
         "failed": facts.failed,
         "shown_at_once": _SHOWN_AT_ONCE,
-        "reservations": reservations(rows, facts),
+        "reservations": narrative.reservations(rows, facts),
         "reading": own_reading or changes,
         "errors": changes if own_reading else [],
         "figures": figures,
         "added": [each for each in parts if each.title.startswith(title)],
         "added_title": f"{title}: errors of estimates" if own_reading else title,
         "own_tables": own_tables,
-        "comparisons": comparisons_made(comparisons),
+        "comparisons": narrative.comparisons_made(comparisons),
         "scores": scores if scores.lines else None,
         "others": [each for each in parts if not each.title.startswith((title, "Scores"))],
         "configurations": [

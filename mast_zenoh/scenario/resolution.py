@@ -25,18 +25,9 @@ from mast_zenoh.messages.packed import check_kernels
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.metrics.estimates import DERIVED
 from mast_zenoh.node import Node
-from mast_zenoh.scenario import driving
+from mast_zenoh.scenario import driving, reading
 from mast_zenoh.scenario.cooperation import check_cooperation, uncovered
 from mast_zenoh.scenario.nodes import add_input_limits, add_outside, nodes_of, share_faults
-from mast_zenoh.scenario.reading import (
-    RUN_DEFAULTS,
-    check_run,
-    checked,
-    checked_name,
-    choose_scene,
-    name_of_file,
-    normalise_keys,
-)
 from mast_zenoh.scenario.timeline import rewrites, timeline_of
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.tracking import StoneSoupTracker
@@ -68,18 +59,18 @@ def resolve(
 
     Raises ConfigurationError (scenario), WiringError (key-expression map), SceneError (scene data).
     """
-    scenario = registry.own_copy(dict(checked(normalise_keys(scenario, str(path)), str(path))))
+    scenario = registry.own_copy(dict(reading.checked(reading.normalise_keys(scenario, str(path)), str(path))))
     builders = load_builders(scenario, path)
     overrides = {key: value for key, value in dict(run, seed=seed, frames=frames).items() if value is not None}
-    options = RUN_DEFAULTS | dict(scenario.get("run", {})) | overrides
-    check_run(options, str(path))
+    options = reading.RUN_DEFAULTS | dict(scenario.get("run", {})) | overrides
+    reading.check_run(options, str(path))
     outside = {
         key: mesh.parameter(scenario[key], f"{path}: {key}")
         for key, mesh in outside_meshes().items()
         if scenario.get(key) is not None
     }
     try:
-        scene_spec = choose_scene(scenario.get("scene", "intersection"))
+        scene_spec = reading.choose_scene(scenario.get("scene", "intersection"))
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: {error}") from None
     scene = registry.build(scene_spec, scenes.Scene, f"{path}: scene")
@@ -104,7 +95,7 @@ def resolve(
     if timeline.faults and any(wire.message == "trust" for wire in wiring.wires):
         share_faults(nodes[EVALUATOR], timeline.faults)
     return Resolved(
-        name=checked_name(scenario.get("name", name_of_file(path.stem)), f"{path}: name"),
+        name=reading.checked_name(scenario.get("name", reading.name_of_file(path.stem)), f"{path}: name"),
         seed=options["seed"],
         mode=options["mode"],
         rate=float(options["rate"]),

@@ -4,5 +4,4 @@ palette      all colours
 page/        the page that plays runs in a browser
 formats      the formats of exports, by name
 export/      a file per format
-loopback     HTTP on the loopback address alone
 """

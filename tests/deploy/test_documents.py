@@ -18,7 +18,7 @@ from mast_zenoh.cli.app import app
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy import documents
 from mast_zenoh.deploy.compose_inside import EXAMPLES, check_steps, example
-from mast_zenoh.deploy.documents import dump
+from mast_zenoh.deploy.documents import on_one_line
 from mast_zenoh.deploy.engine import NUMERIC_VARIABLES
 from mast_zenoh.errors import BackendError, ConfigurationError
 
@@ -55,7 +55,7 @@ def test_dumped_values_are_read_back_unchanged(content: dict[str, Any]) -> None:
             return list(map(doubled, value))
         return value.replace("$", "$$") if isinstance(value, str) else value
 
-    assert yaml.safe_load(dump(content)) == doubled(content)
+    assert yaml.safe_load(on_one_line(content)) == doubled(content)
 
 
 def test_a_name_adds_no_line_to_the_file() -> None:
@@ -122,6 +122,11 @@ def resolve(name: str = "uncoordinated", *chosen: str, **more: Any) -> Resolved:
     return scenario.resolve(path, loaded | more, record=True, **({"frames": 2} | options))
 
 
+def compose(*run: Any, **options: Any) -> dict[str, Any]:
+    content: dict[str, Any] = yaml.safe_load(documents.compose_text(*run, **options))
+    return content
+
+
 def test_a_node_cannot_have_the_name_of_another_service() -> None:
     for name in ("launcher", "router"):
         nodes = {name: dict(role="recorder", log="other.mcap")}
@@ -136,7 +141,7 @@ def test_a_complete_file_is_refused_for_steps_that_need_docker() -> None:
 
 
 def test_mobile_agents_and_their_interposers_are_on_the_wireless_network() -> None:
-    services = documents.compose(resolve("realistic_network", "n_mobile=1"), "r", image="i")["services"]
+    services = compose(resolve("realistic_network", "n_mobile=1"), "r", image="i")["services"]
     on = {name: service["networks"] for name, service in services.items()}
     assert on["router"] == ["launcher", "wired", "wireless"]
     wireless = [name for name, networks in on.items() if networks == ["wireless"]]
@@ -145,13 +150,13 @@ def test_mobile_agents_and_their_interposers_are_on_the_wireless_network() -> No
 
 
 def test_every_node_gets_only_its_own_credentials() -> None:
-    content = documents.compose(resolve(), "r", image="i", secure="acl")
+    content = compose(resolve(), "r", image="i", secure="acl")
     for name, service in content["services"].items():
         names = {"router.json"} if name == "router" else CREDENTIALS
         assert {secret["source"] for secret in service["secrets"]} == {f"{name}_{file}" for file in names}
         assert {secret["target"] for secret in service["secrets"]} == names
     assert content["secrets"]["ego_key.pem"] == {"file": "./credentials/ego/key.pem"}
-    opened = documents.compose(resolve(), "r", image="i")
+    opened = compose(resolve(), "r", image="i")
     assert "secrets" not in opened
     assert not any("secrets" in service for service in opened["services"].values())
 
@@ -159,7 +164,7 @@ def test_every_node_gets_only_its_own_credentials() -> None:
 def test_a_disconnected_node_waits_longer_for_the_launcher() -> None:
     faults = [dict(type="Unplug", at=0.5, until=4.5, node="infra_1")]
     unplugged = resolve("baseline", "n_infrastructure=1", faults=faults, frames=60, mode="realtime", rate=0.5)
-    services = documents.compose(unplugged, "a-run", image="any", patience_s=10.0)["services"]
+    services = compose(unplugged, "a-run", image="any", patience_s=10.0)["services"]
     waits = {name: service["command"][-1] for name, service in services.items()}
     assert waits.pop("infra_1") == "18", "4 s of scene time at half speed"
     assert set(waits.values()) == {"10"}

@@ -29,7 +29,7 @@ from mast_zenoh import errors
 from mast_zenoh.cli import observers
 from mast_zenoh.errors import MastError, UntrustedCode
 from mast_zenoh.report.figures import drawing
-from mast_zenoh.viewer.page.page import ViewerServer
+from mast_zenoh.viewer.page.live_server import PageServer
 
 pytestmark = pytest.mark.heavy
 
@@ -113,7 +113,7 @@ def quiet_viewers(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("a viewer of a running run was started")
 
-    monkeypatch.setattr(ViewerServer, "serve_forever", lambda self: None)
+    monkeypatch.setattr(PageServer, "wait", lambda self: None)
     monkeypatch.setattr(observers, "start", refuse)
     monkeypatch.setattr(drawing, "png", lambda figure: b"")
     monkeypatch.setattr(drawing, "svg", lambda figure: b"")

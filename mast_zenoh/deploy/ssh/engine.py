@@ -33,16 +33,6 @@ from mast_zenoh.deploy.engine import (
 )
 from mast_zenoh.deploy.ssh import connection, hostsfile
 from mast_zenoh.deploy.ssh.attachment import LEAVE_S, WardenAttachment, ask_warden, attaching
-from mast_zenoh.deploy.ssh.connection import (
-    Installed,
-    Loop,
-    Packages,
-    connected,
-    make_folder,
-    messages_of,
-    together,
-    write_file,
-)
 from mast_zenoh.deploy.ssh.hostsfile import LAUNCHER, SshHost
 from mast_zenoh.errors import EngineError, Interrupted
 from mast_zenoh.launch.context import RunContext
@@ -79,13 +69,13 @@ class Ssh(DeploymentEngine):
         """Check that all hosts with nodes or the router are reachable and suitable."""
         levels.check(secure)
 
-        async def probe(host: SshHost, packages: Packages) -> None:
-            async with connected(host) as ssh:
+        async def probe(host: SshHost, packages: connection.Packages) -> None:
+            async with connection.connected(host) as ssh:
                 await connection.probe(ssh, host, packages)
 
-        with tempfile.TemporaryDirectory(prefix="mast-wheel-") as folder, Loop() as loop:
-            packages = Packages(Path(folder))
-            loop.run(together(*(probe(host, packages) for host in self.hosts.used(resolved.nodes).values())))
+        with tempfile.TemporaryDirectory(prefix="mast-wheel-") as folder, connection.Loop() as loop:
+            packages = connection.Packages(Path(folder))
+            loop.run(connection.together(*(probe(host, packages) for host in self.hosts.used(resolved.nodes).values())))
 
     def nodes(self, context: RunContext, stack: ExitStack) -> RemoteNodes:
         return RemoteNodes(self.hosts, context, stack)
@@ -103,8 +93,8 @@ class Ssh(DeploymentEngine):
             by_name = {node["node"]: node for node in (answer or {}).get("nodes", [])}
             return [_state_row(name, by_name.get(name), host) for name in {**dict.fromkeys(place["nodes"]), **by_name}]
 
-        with Loop() as loop:
-            rows = itertools.chain(*loop.run(together(*(states(host, place) for host, place in places))))
+        with connection.Loop() as loop:
+            rows = itertools.chain(*loop.run(connection.together(*(states(host, place) for host, place in places))))
         return sorted(rows, key=lambda row: row["node"])
 
     @classmethod
@@ -123,19 +113,19 @@ class Ssh(DeploymentEngine):
             host_offsets = {name: offsets[name] for name in place["nodes"] if name in offsets}
             if not host_offsets:
                 return
-            async with connected(host) as ssh, ssh.create_process(attaching(place)) as process:
+            async with connection.connected(host) as ssh, ssh.create_process(attaching(place)) as process:
                 # All logs up to now come before the answer.
                 process.stdin.write(json.dumps({"as": "reader", "logs": host_offsets}) + "\n")
                 if not follow:
                     process.stdin.write(json.dumps({"id": os.urandom(8).hex(), "do": "state"}) + "\n")
-                async for message in messages_of(process):
+                async for message in connection.messages_of(process):
                     if "log" in message and message["log"] in host_offsets:
                         _print(message["log"], message["text"].encode("latin-1"), printing)
                     elif "answer" in message and not follow:
                         return
 
-        with Loop() as loop, contextlib.suppress(KeyboardInterrupt):
-            loop.run(together(*(more(host, place) for host, place in _places(record))))
+        with connection.Loop() as loop, contextlib.suppress(KeyboardInterrupt):
+            loop.run(connection.together(*(more(host, place) for host, place in _places(record))))
 
     @classmethod
     def down(cls, folder: Path, record: dict[str, Any]) -> None:
@@ -143,12 +133,12 @@ class Ssh(DeploymentEngine):
 
         async def end(host: SshHost, place: dict[str, Any]) -> None:
             if await ask_warden(host, place, "leave", grace_s=1.0) is None:
-                async with connected(host) as ssh:
+                async with connection.connected(host) as ssh:
                     await connection.ask(ssh, host, "remove", place["run_folder"])
 
         shutil.rmtree(folder / CREDENTIALS, ignore_errors=True)
-        with Loop() as loop:
-            loop.run(together(*(end(host, place) for host, place in _places(record))))
+        with connection.Loop() as loop:
+            loop.run(connection.together(*(end(host, place) for host, place in _places(record))))
 
 
 # -- from the run folder alone -----------------------------------------------------------------------------------
@@ -213,10 +203,10 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
         self.hosts_file = hosts_file
         self.placed = hosts_file.placed(context.resolved.nodes)
         self.hosts = hosts_file.used(context.resolved.nodes)
-        self.loop = stack.enter_context(Loop(context.signals))
+        self.loop = stack.enter_context(connection.Loop(context.signals))
         self.changed = threading.Condition()
         self.attachments: dict[str, WardenAttachment] = {}
-        self.installed: dict[str, Installed] = {}
+        self.installed: dict[str, connection.Installed] = {}
         self.reached_from: dict[str, str] = {}  # our address, as each host sees it
         self.endpoints: dict[str, str] = {}
         self.port = hosts_file.router.port
@@ -226,7 +216,7 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
 
     def prepare(self) -> dict[str, Any]:
         with tempfile.TemporaryDirectory(prefix="mast-wheel-") as folder:
-            packages = Packages(Path(folder))
+            packages = connection.Packages(Path(folder))
             self._on_all(lambda host, ssh: self._install(host, ssh, packages))
         on = self.hosts_file.router.on
         self.port = self.port or free_port()
@@ -239,12 +229,12 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
 
     def _on_all(self, do: Callable[[SshHost, asyncssh.SSHClientConnection], Any], *, whole: bool = False) -> None:
         async def on(host: SshHost) -> None:
-            async with connected(host) as ssh:
+            async with connection.connected(host) as ssh:
                 await do(host, ssh)
 
-        self.loop.run(together(*(on(host) for host in self.hosts.values())), whole=whole)
+        self.loop.run(connection.together(*(on(host) for host in self.hosts.values())), whole=whole)
 
-    async def _install(self, host: SshHost, ssh: asyncssh.SSHClientConnection, packages: Packages) -> None:
+    async def _install(self, host: SshHost, ssh: asyncssh.SSHClientConnection, packages: connection.Packages) -> None:
         self.installed[host.name] = await connection.install(ssh, host, packages)
         self.reached_from[host.name] = ssh.get_extra_info("sockname")[0]
 
@@ -309,8 +299,8 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
             argv += ["--settings", settings]
 
             async def copy() -> None:
-                async with connected(host) as ssh, ssh.start_sftp_client() as sftp:
-                    await write_file(sftp, settings, json.dumps(deployment.router).encode())
+                async with connection.connected(host) as ssh, ssh.start_sftp_client() as sftp:
+                    await connection.write_file(sftp, settings, json.dumps(deployment.router).encode())
 
             self.loop.run(copy())
         start = attachment.tell("start", name=ROUTER, argv=argv, env=self._environment(name))
@@ -348,13 +338,13 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
         target = self._folder(host.name, CREDENTIALS)
         try:
             async with ssh.start_sftp_client() as sftp:
-                await make_folder(sftp, target)
+                await connection.make_folder(sftp, target)
                 for node in (node for node, on in self.placed.items() if on == host.name):
                     own = deployment.of(node)
                     assert own is not None
-                    await make_folder(sftp, posixpath.join(target, node))
+                    await connection.make_folder(sftp, posixpath.join(target, node))
                     for file in own.iterdir():
-                        await write_file(sftp, posixpath.join(target, node, file.name), file.read_bytes())
+                        await connection.write_file(sftp, posixpath.join(target, node, file.name), file.read_bytes())
         except (asyncssh.Error, OSError) as error:
             raise EngineError(f"{host.called}: {target}: {error}") from None
 

@@ -15,14 +15,8 @@ from mast_zenoh.config import loading, plugins
 from mast_zenoh.control.failures import described, location
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, PICTURE, column_name
+from mast_zenoh.report.figures import drawing
 from mast_zenoh.report.figures.diagram import draw_wiring
-from mast_zenoh.report.figures.drawing import (
-    RenderedFigure,
-    birdseye_figure,
-    camera_figure,
-    render,
-    side_by_side_figure,
-)
 from mast_zenoh.report.figures.driven import driven_figure
 from mast_zenoh.report.figures.over_time import SMOOTH, causes_over_time, counts_over_time, driving_over_time
 from mast_zenoh.report.figures.style import Figure
@@ -49,7 +43,7 @@ class Birdseye(RunFigure):
     """The ego's surroundings from above: its own tracks, the picture, and both."""
 
     def draw(self, context: FigureContext) -> Figure | None:
-        return None if context.view is None else birdseye_figure(context.view)
+        return None if context.view is None else drawing.birdseye_figure(context.view)
 
     def alt(self, context: FigureContext) -> str:
         assert context.view is not None
@@ -78,7 +72,7 @@ class CameraFigure(RunFigure):
     name = "camera"
 
     def draw(self, context: FigureContext) -> Figure | None:
-        return None if context.view is None else camera_figure(context.view)
+        return None if context.view is None else drawing.camera_figure(context.view)
 
     def alt(self, context: FigureContext) -> str:
         assert context.view is not None
@@ -207,20 +201,20 @@ OURS: tuple[type[RunFigure], ...] = (
 )
 
 
-def run_figures(context: FigureContext) -> dict[str, RenderedFigure]:
+def run_figures(context: FigureContext) -> dict[str, drawing.RenderedFigure]:
     """Our figures of one run by name, without those whose data are absent."""
     pictures = (rendered(kind(), context) for kind in OURS)
     return {each.name: each for each in pictures if each is not None}
 
 
-def rendered(figure: RunFigure, context: FigureContext) -> RenderedFigure | None:
+def rendered(figure: RunFigure, context: FigureContext) -> drawing.RenderedFigure | None:
     """A figure as it goes into the page; None if there is nothing to draw."""
     drawn = figure.draw(context)
     if drawn is None:
         return None
     if not isinstance(drawn, MatplotlibFigure):
         raise TypeError(f"draw returned {type(drawn).__name__}, expected a Matplotlib figure or None")
-    return render(figure.label(), drawn, figure.alt(context), figure.caption(context), vector=figure.vector)
+    return drawing.render(figure.label(), drawn, figure.alt(context), figure.caption(context), vector=figure.vector)
 
 
 def _the_picture(view: Frame) -> str:
@@ -259,7 +253,7 @@ class UserFigure:
     name: str
     heading: str
     after: str
-    picture: RenderedFigure | None
+    picture: drawing.RenderedFigure | None
     problem: str = ""
 
 
@@ -341,7 +335,7 @@ def _stored(folder: Path) -> list[UserFigure]:
         except (OSError, ValueError, RunFolderError):
             continue
         if png.startswith(_PNG) and len(png) > 24 and after in SECTIONS:
-            figures.append(UserFigure(name, heading, after, RenderedFigure(name, png, alt, caption)))
+            figures.append(UserFigure(name, heading, after, drawing.RenderedFigure(name, png, alt, caption)))
     return figures
 
 
@@ -365,7 +359,7 @@ def study_figures(
     estimate: str = "picture",
     *,
     chosen: bool,
-) -> dict[str, RenderedFigure]:
+) -> dict[str, drawing.RenderedFigure]:
     """The figures that compare runs, by name."""
     figures = []
     if views:
@@ -376,12 +370,14 @@ def study_figures(
             beyond = f" less those of {table.reference} in the same frame"
             caption += f" {_CHOICE_ATTACKED.format(where=f'of the {ESTIMATES[estimate].column}', beyond=beyond)}."
         alt = f"Bird's-eye views side by side, {next(iter(views.values())).time_label}. {tallies}."
-        figures.append(render("side_by_side", side_by_side_figure(views, table, estimate), alt, caption))
+        figures.append(
+            drawing.render("side_by_side", drawing.side_by_side_figure(views, table, estimate), alt, caption)
+        )
     over_time = counts_over_time(runs, next(iter(views.values())).index if views else None, estimate)
     if over_time is not None:
         names = tuple(ESTIMATES[each].column for each in (LOCAL, estimate))
         alt = f"Missed objects, false objects and RMSE over time: {names[0]}, and {names[1]} of every run."
-        figures.append(render("counts", over_time, alt, counts_caption(list(runs.values()))))
+        figures.append(drawing.render("counts", over_time, alt, counts_caption(list(runs.values()))))
     return {each.name: each for each in figures}
 
 

@@ -12,19 +12,7 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 from mast_zenoh.errors import DiskFull, RunFolderError, is_disk_full
 from mast_zenoh.messages.layout import MAX_BYTES
 from mast_zenoh.messages.schemas import SCHEMAS, Header
-from mast_zenoh.run_folder.recording.format import (
-    ENCODING,
-    EVENT,
-    MALFORMED,
-    ORDER,
-    PROFILE,
-    SCHEMA_ENCODING,
-    STEPS,
-    RecordedEvent,
-    json_schema,
-    metadata,
-    wire_and_key,
-)
+from mast_zenoh.run_folder.recording import format as formats
 from mast_zenoh.wiring.model import Input
 from mast_zenoh.wiring.plain_shapes import EXPECTED_NAME, is_name
 
@@ -132,17 +120,17 @@ class MessageLog:
 
         frame, time_ns: of the latest clock when it arrived;  step: as in `add`
         """
-        name = f"{key}/{MALFORMED}"
+        name = f"{key}/{formats.MALFORMED}"
         if name not in self._channels:
             self._channels[name] = self._channel(key, malformed=True)
         self._n_malformed[key] += 1
         number = self._n_malformed[key] - 1
         self._add(key, _Entry(0, frame, number, 0, time_ns, self._channels[name], payload[:MAX_BYTES], step, True))
 
-    def add_event(self, event: RecordedEvent) -> None:
+    def add_event(self, event: formats.RecordedEvent) -> None:
         """Add a change of the run; it is lost if there is a problem."""
         if not self.problem:
-            self._write(lambda: self._writer.add_metadata(EVENT, event.to_metadata()))
+            self._write(lambda: self._writer.add_metadata(formats.EVENT, event.to_metadata()))
 
     def close(self) -> None:
         """Write the remaining messages and the index."""
@@ -159,17 +147,17 @@ class MessageLog:
 
         self._file = self.path.open("xb")
         self._writer: Writer = Writer(self._file, chunk_size=1 << 40, compression=CompressionType.ZSTD)
-        self._writer.start(PROFILE)
+        self._writer.start(formats.PROFILE)
         self._schemas = {name: self._schema(name) for name in sorted({input_.message for input_ in inputs.values()})}
         self._inputs = inputs
         #: The rank of a key among all, by wire and leg, which orders messages of the same time.
-        self._ranks = {key: rank for rank, key in enumerate(sorted(inputs, key=wire_and_key))}
+        self._ranks = {key: rank for rank, key in enumerate(sorted(inputs, key=formats.wire_and_key))}
         self._channels = {key: self._channel(key) for key in self._ranks}
         self._file.flush()  # a run that is killed at once leaves a valid recording without messages
 
     def _schema(self, name: str) -> int:
-        content = json_schema(SCHEMAS[name]).encode()
-        return int(self._writer.register_schema(f"{name}.{SCHEMAS[name].version}", SCHEMA_ENCODING, content))
+        content = formats.json_schema(SCHEMAS[name]).encode()
+        return int(self._writer.register_schema(f"{name}.{SCHEMAS[name].version}", formats.SCHEMA_ENCODING, content))
 
     def _channel(self, key: str, *, malformed: bool = False) -> int:
         input_ = self._inputs[key]
@@ -177,10 +165,10 @@ class MessageLog:
             self._schemas[input_.message] = self._schema(input_.message)
         return int(
             self._writer.register_channel(
-                f"{key}/{MALFORMED}" if malformed else key,
-                "" if malformed else ENCODING,
+                f"{key}/{formats.MALFORMED}" if malformed else key,
+                "" if malformed else formats.ENCODING,
                 0 if malformed else self._schemas[input_.message],
-                metadata(key, input_.message, input_.source, malformed=malformed),
+                formats.metadata(key, input_.message, input_.source, malformed=malformed),
             )
         )
 
@@ -211,9 +199,9 @@ class MessageLog:
             # Written before the chunk, so that no chunk is read without the steps of its messages.
             late = (i for i, entry in enumerate(chunk) if entry.malformed or entry.step != entry.frame)
             if steps := {str(i): str(chunk[i].step) for i in late}:
-                self._writer.add_metadata(STEPS, steps)
+                self._writer.add_metadata(formats.STEPS, steps)
             if order := {str(i): str(chunk[i].rank) for i in self._sharing(chunk)}:
-                self._writer.add_metadata(ORDER, order)
+                self._writer.add_metadata(formats.ORDER, order)
             for entry in chunk:
                 self._writer.add_message(
                     entry.channel, entry.log_time, entry.payload, entry.time_ns, entry.sequence % _SEQUENCES

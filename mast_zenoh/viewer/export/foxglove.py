@@ -10,29 +10,7 @@ from pathlib import Path
 import foxglove
 import numpy as np
 from foxglove import channels
-from foxglove.messages import (
-    CameraCalibration,
-    Color,
-    CompressedImage,
-    CubePrimitive,
-    FrameTransform,
-    FrameTransforms,
-    KeyValuePair,
-    LinePrimitive,
-    LinePrimitiveLineType,
-    Log,
-    LogLevel,
-    Point3,
-    Pose,
-    Quaternion,
-    SceneEntity,
-    SceneEntityDeletion,
-    SceneEntityDeletionType,
-    SceneUpdate,
-    SpherePrimitive,
-    Timestamp,
-    Vector3,
-)
+from foxglove import messages as fox
 from PIL import Image
 
 from mast_zenoh.arrays.geometry import scalar_last_quaternions
@@ -45,50 +23,30 @@ from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera
-from mast_zenoh.viewer.export.columns import (
-    WORLD,
-    cameras,
-    class_names,
-    colours,
-    missed,
-    scene_frame,
-    transforms_of,
-    wall_lines,
-)
-from mast_zenoh.viewer.export.foxglove_layout import (
-    BUILDINGS,
-    CHANGES,
-    LOG,
-    TRANSFORMS,
-    camera_topic,
-    image_topic,
-    layout,
-    missed_topics,
-    object_topics,
-    score_topic,
-)
+from mast_zenoh.viewer.export import columns
+from mast_zenoh.viewer.export import foxglove_layout as layouts
 from mast_zenoh.viewer.palette import ADVERSARY, BUILDING_EDGE, OUTCOME_COLOURS, rgb
 
 
-def replacement(time_ns: int, entities: list[SceneEntity]) -> SceneUpdate:
+def replacement(time_ns: int, entities: list[fox.SceneEntity]) -> fox.SceneUpdate:
     """Replaces all entities of a topic."""
-    everything = SceneEntityDeletion(timestamp=timestamp_of(time_ns), type=SceneEntityDeletionType.All)
-    return SceneUpdate(deletions=[everything], entities=entities)
+    everything = fox.SceneEntityDeletion(timestamp=timestamp_of(time_ns), type=fox.SceneEntityDeletionType.All)
+    return fox.SceneUpdate(deletions=[everything], entities=entities)
 
 
-def building_entity(run: Run, scene: Recording, time_ns: int) -> SceneEntity:
+def building_entity(run: Run, scene: Recording, time_ns: int) -> fox.SceneEntity:
     """The edges of the buildings of a scene."""
-    corners = wall_lines(scene).reshape(-1, 3) - run.origin
-    lines = LinePrimitive(
-        type=LinePrimitiveLineType.LineList,
+    corners = columns.wall_lines(scene).reshape(-1, 3) - run.origin
+    lines = fox.LinePrimitive(
+        type=fox.LinePrimitiveLineType.LineList,
         thickness=0.15,
-        points=[Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()],
+        points=[fox.Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()],
         color=_colour(rgb(BUILDING_EDGE)),
     )
-    return SceneEntity(timestamp=timestamp_of(time_ns), frame_id=scene_frame(run), id="0", lines=[lines])
+    return fox.SceneEntity(timestamp=timestamp_of(time_ns), frame_id=columns.scene_frame(run), id="0", lines=[lines])
 
 
-def change_entities(run: Run, frame: Frame) -> list[SceneEntity]:
+def change_entities(run: Run, frame: Frame) -> list[fox.SceneEntity]:
     """A mark for everything that an adversary inserted, removed or moved; none for the effects of links."""
     made, entities = frame.changes, []
     colour = _colour(rgb(ADVERSARY), 0.6)
@@ -96,14 +54,16 @@ def change_entities(run: Run, frame: Frame) -> list[SceneEntity]:
         places = [place[k] - run.origin for place in (made.before, made.after) if np.isfinite(place[k]).all()]
         if not places or made.role[k] == "link":
             continue
-        spheres = [SpherePrimitive(pose=_pose(places[-1]), size=Vector3(x=1.0, y=1.0, z=1.0), color=colour)]
-        ends = [Point3(x=x, y=y, z=z) for x, y, z in np.array(places).tolist()]
-        lines = [LinePrimitive(thickness=0.2, points=ends, color=colour)] if len(ends) == 2 else []
-        words = [KeyValuePair(key=name, value=str(getattr(made, name)[k])) for name in ("interposer", "wire", "effect")]
+        spheres = [fox.SpherePrimitive(pose=_pose(places[-1]), size=fox.Vector3(x=1.0, y=1.0, z=1.0), color=colour)]
+        ends = [fox.Point3(x=x, y=y, z=z) for x, y, z in np.array(places).tolist()]
+        lines = [fox.LinePrimitive(thickness=0.2, points=ends, color=colour)] if len(ends) == 2 else []
+        words = [
+            fox.KeyValuePair(key=name, value=str(getattr(made, name)[k])) for name in ("interposer", "wire", "effect")
+        ]
         entities.append(
-            SceneEntity(
+            fox.SceneEntity(
                 timestamp=timestamp_of(frame.time_ns),
-                frame_id=scene_frame(run),
+                frame_id=columns.scene_frame(run),
                 id=str(k),
                 metadata=words,
                 spheres=spheres,
@@ -115,10 +75,10 @@ def change_entities(run: Run, frame: Frame) -> list[SceneEntity]:
 
 def box_entities(
     run: Run, frame: Frame, states: ObjectStates, colour: Ints, outcomes: Sequence[str]
-) -> list[SceneEntity]:
+) -> list[fox.SceneEntity]:
     """An entity for each object, named by its id: its box, a line ahead, and its other values as text."""
     positions = states.position - run.origin
-    turns, kinds = scalar_last_quaternions(states.yaw), class_names(states)
+    turns, kinds = scalar_last_quaternions(states.yaw), columns.class_names(states)
     ahead = np.stack([np.cos(states.yaw), np.sin(states.yaw), 0 * states.yaw], axis=1) * (states.size[:, :1] / 2 + 1.2)
     lines = np.stack([positions, positions + ahead], axis=1).tolist()
     entities = []
@@ -130,21 +90,23 @@ def box_entities(
             "velocity": " ".join(f"{value:.3f}" for value in states.velocity[k]),
         }
         entities.append(
-            SceneEntity(
+            fox.SceneEntity(
                 timestamp=timestamp_of(frame.time_ns),
-                frame_id=scene_frame(run),
+                frame_id=columns.scene_frame(run),
                 id=str(number),
-                metadata=[KeyValuePair(key=key, value=value) for key, value in words.items()],
+                metadata=[fox.KeyValuePair(key=key, value=value) for key, value in words.items()],
                 cubes=[
-                    CubePrimitive(
+                    fox.CubePrimitive(
                         pose=_pose(positions[k], turns[k]),
                         size=vector(states.size[k]),
                         color=_colour(colour[k], 0.5),
                     )
                 ],
                 lines=[
-                    LinePrimitive(
-                        thickness=0.1, points=[Point3(x=x, y=y, z=z) for x, y, z in lines[k]], color=_colour(colour[k])
+                    fox.LinePrimitive(
+                        thickness=0.1,
+                        points=[fox.Point3(x=x, y=y, z=z) for x, y, z in lines[k]],
+                        color=_colour(colour[k]),
                     )
                 ],
             )
@@ -159,30 +121,30 @@ def blank_image(camera: Camera) -> bytes:
     return buffer.getvalue()
 
 
-def timestamp_of(time_ns: int) -> Timestamp:
+def timestamp_of(time_ns: int) -> fox.Timestamp:
     """A time of the scene."""
-    return Timestamp(sec=time_ns // 10**9, nsec=time_ns % 10**9)
+    return fox.Timestamp(sec=time_ns // 10**9, nsec=time_ns % 10**9)
 
 
-def vector(values: Floats) -> Vector3:
+def vector(values: Floats) -> fox.Vector3:
     """values: (3,)"""
     x, y, z = values.tolist()
-    return Vector3(x=x, y=y, z=z)
+    return fox.Vector3(x=x, y=y, z=z)
 
 
-def quaternion(values: Floats) -> Quaternion:
+def quaternion(values: Floats) -> fox.Quaternion:
     """values: (4,) x y z w"""
     x, y, z, w = values.tolist()
-    return Quaternion(x=x, y=y, z=z, w=w)
+    return fox.Quaternion(x=x, y=y, z=z, w=w)
 
 
-def _pose(position: Floats, turn: Floats | None = None) -> Pose:
-    return Pose(position=vector(position), orientation=Quaternion(w=1.0) if turn is None else quaternion(turn))
+def _pose(position: Floats, turn: Floats | None = None) -> fox.Pose:
+    return fox.Pose(position=vector(position), orientation=fox.Quaternion(w=1.0) if turn is None else quaternion(turn))
 
 
-def _colour(values: Sequence[int] | Ints, opacity: float = 1.0) -> Color:
+def _colour(values: Sequence[int] | Ints, opacity: float = 1.0) -> fox.Color:
     r, g, b = (float(value) / 255 for value in values)
-    return Color(r=r, g=g, b=b, a=opacity)
+    return fox.Color(r=r, g=g, b=b, a=opacity)
 
 
 _MISSED = rgb(OUTCOME_COLOURS["truth missed"])
@@ -211,7 +173,7 @@ def write(run: Run, path: Path) -> None:
 
 def write_layout(run: Run, path: Path) -> None:
     """Write the layout of a run."""
-    path.write_text(json.dumps(layout(run), indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(layouts.layout(run), indent=1) + "\n", encoding="utf-8")
 
 
 class RunChannels:
@@ -222,19 +184,22 @@ class RunChannels:
 
     def __init__(self, run: Run, context: foxglove.Context) -> None:
         self.run = run
-        self.objects, self.missed = object_topics(run), missed_topics(run)
-        scene = [*self.objects.values(), *self.missed.values(), BUILDINGS, CHANGES]
+        self.objects, self.missed = layouts.object_topics(run), layouts.missed_topics(run)
+        scene = [*self.objects.values(), *self.missed.values(), layouts.BUILDINGS, layouts.CHANGES]
         self.scenes = {topic: channels.SceneUpdateChannel(topic, context=context) for topic in scene}
-        self.transforms = channels.FrameTransformsChannel(TRANSFORMS, context=context)
-        self.log = channels.LogChannel(LOG, context=context)
-        self.cameras = cameras(run)
+        self.transforms = channels.FrameTransformsChannel(layouts.TRANSFORMS, context=context)
+        self.log = channels.LogChannel(layouts.LOG, context=context)
+        self.cameras = columns.cameras(run)
         self.calibrations = {
-            agent: channels.CameraCalibrationChannel(camera_topic(agent), context=context) for agent in run.agents
+            agent: channels.CameraCalibrationChannel(layouts.camera_topic(agent), context=context)
+            for agent in run.agents
         }
-        self.image = channels.CompressedImageChannel(image_topic(run.agents[0]), context=context)
+        self.image = channels.CompressedImageChannel(layouts.image_topic(run.agents[0]), context=context)
         self.blank = blank_image(self.cameras[run.agents[0]])
         self.scores = {
-            series: foxglove.Channel(score_topic(series), message_encoding="json", schema=_SCORE, context=context)
+            series: foxglove.Channel(
+                layouts.score_topic(series), message_encoding="json", schema=_SCORE, context=context
+            )
             for series in run.scored
         }
 
@@ -252,42 +217,42 @@ class RunChannels:
     def write_buildings(self, time_ns: int) -> None:
         """Write what does not change with the frame."""
         if self.run.files.scene is not None:
-            self._replace(BUILDINGS, time_ns, [building_entity(self.run, self.run.files.scene, time_ns)])
+            self._replace(layouts.BUILDINGS, time_ns, [building_entity(self.run, self.run.files.scene, time_ns)])
 
     def _objects(self, frame: Frame, series: Series) -> None:
         """The objects of a series, and those that it misses; nothing where no message was recorded."""
-        entities: list[SceneEntity] = []
+        entities: list[fox.SceneEntity] = []
         if series in frame.objects:
             outcomes = frame.outcomes[series].names
-            entities = box_entities(self.run, frame, frame.objects[series], colours(frame, series), outcomes)
+            entities = box_entities(self.run, frame, frame.objects[series], columns.colours(frame, series), outcomes)
         self._replace(self.objects[series], frame.time_ns, entities)
         if series != TRUTH:
-            lost = missed(frame, series)
+            lost = columns.missed(frame, series)
             colour = np.tile(_MISSED, (len(lost), 1))
             entities = box_entities(self.run, frame, lost, colour, ["missed"] * len(lost))
             self._replace(self.missed[series], frame.time_ns, entities)
 
-    def _replace(self, topic: str, time_ns: int, entities: list[SceneEntity]) -> None:
+    def _replace(self, topic: str, time_ns: int, entities: list[fox.SceneEntity]) -> None:
         self.scenes[topic].log(replacement(time_ns, entities), log_time=time_ns)
 
     def _poses(self, frame: Frame) -> None:
         """The poses of the agents and of their cameras, in one message; the calibrations, and the blank image."""
         time, transforms = timestamp_of(frame.time_ns), []
-        if scene_frame(self.run) != WORLD:
+        if columns.scene_frame(self.run) != columns.WORLD:
             transforms.append(
-                FrameTransform(
+                fox.FrameTransform(
                     timestamp=time,
-                    parent_frame_id=WORLD,
-                    child_frame_id=scene_frame(self.run),
+                    parent_frame_id=columns.WORLD,
+                    child_frame_id=columns.scene_frame(self.run),
                     translation=vector(self.run.origin),
-                    rotation=Quaternion(w=1.0),
+                    rotation=fox.Quaternion(w=1.0),
                 )
             )
         for agent, pose in frame.poses.items():
             camera = self.cameras[agent]
-            for parent, child, position, turn in transforms_of(agent, pose, camera):
+            for parent, child, position, turn in columns.transforms_of(agent, pose, camera):
                 transforms.append(
-                    FrameTransform(
+                    fox.FrameTransform(
                         timestamp=time,
                         parent_frame_id=parent,
                         child_frame_id=child,
@@ -296,7 +261,7 @@ class RunChannels:
                     )
                 )
             k = [camera.focal, 0.0, camera.width / 2, 0.0, camera.focal, camera.height / 2, 0.0, 0.0, 1.0]
-            calibration = CameraCalibration(
+            calibration = fox.CameraCalibration(
                 timestamp=time,
                 frame_id=f"{agent}/camera",
                 width=camera.width,
@@ -307,15 +272,15 @@ class RunChannels:
             )
             self.calibrations[agent].log(calibration, log_time=frame.time_ns)
             if agent == self.run.agents[0]:
-                image = CompressedImage(timestamp=time, frame_id=f"{agent}/camera", data=self.blank, format="png")
+                image = fox.CompressedImage(timestamp=time, frame_id=f"{agent}/camera", data=self.blank, format="png")
                 self.image.log(image, log_time=frame.time_ns)
-        self.transforms.log(FrameTransforms(transforms=transforms), log_time=frame.time_ns)
+        self.transforms.log(fox.FrameTransforms(transforms=transforms), log_time=frame.time_ns)
 
     def _changes(self, frame: Frame) -> None:
         """What adversaries inserted, removed and moved, as marks and as lines of a log."""
-        self._replace(CHANGES, frame.time_ns, change_entities(self.run, frame))
+        self._replace(layouts.CHANGES, frame.time_ns, change_entities(self.run, frame))
         for name, sentence in zip(frame.changes.interposer.tolist(), frame.changes.sentences, strict=True):
-            message = Log(
-                timestamp=timestamp_of(frame.time_ns), level=LogLevel.Warning, name=str(name), message=sentence
+            message = fox.Log(
+                timestamp=timestamp_of(frame.time_ns), level=fox.LogLevel.Warning, name=str(name), message=sentence
             )
             self.log.log(message, log_time=frame.time_ns)

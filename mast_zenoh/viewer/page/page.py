@@ -1,4 +1,4 @@
-"""The page that plays runs: the modules of js/ joined to one script, its style, its security policy, and a server.
+"""The page that plays runs: the modules of js/ joined to one script, its style and its security policy.
 
 Browsers refuse to import modules from files, so a page that is opened from a disk needs them inline. They are joined
 in the order of their imports, which makes one module: no names may repeat between files.
@@ -12,7 +12,6 @@ import re
 from collections.abc import Iterable, Sequence
 from functools import cache
 from html import escape
-from http import HTTPStatus
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -20,7 +19,6 @@ from typing import NamedTuple
 
 from mast_zenoh.errors import NotComparable, RunFolderError
 from mast_zenoh.runs.run import Run
-from mast_zenoh.viewer.loopback import LoopbackHandler, LoopbackServer
 from mast_zenoh.viewer.page.block import run_block
 from mast_zenoh.viewer.palette import GROUNDS
 
@@ -149,26 +147,3 @@ def viewer_page(folders: Sequence[Path], frame: int | None = None) -> bytes:
         )
     title = " and ".join(run.name if run.name != runs[0].name or run is runs[0] else run.path.name for run in runs)
     return page_of(title, viewer_parts(blocks))
-
-
-class ViewerServer(LoopbackServer):
-    """Serves one page.
-
-    page: as from `viewer_page`;  port: 0 for any free one
-    Raises ConfigurationError if the port cannot be used.
-    """
-
-    def __init__(self, page: bytes, port: int = 0) -> None:
-        self.content = page
-        super().__init__(port, _Handler)
-
-
-class _Handler(LoopbackHandler):
-    server: ViewerServer
-
-    def answer(self, path: str) -> None:
-        """Send the page; anything else is not found."""
-        if path != "/":
-            self.send_error(HTTPStatus.NOT_FOUND)
-        else:
-            self.send_content(self.server.content, "text/html; charset=utf-8", policy())
