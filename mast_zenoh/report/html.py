@@ -88,20 +88,17 @@ def environment() -> Environment:
 
 def facts(run: Run) -> list[str]:
     """What identifies a run: id, status, scene, length, seed, mode and speed."""
-    facts = [f"run {run.files.record['id']}"] if "id" in run.files.record else []
-    facts += [str(run.files.record["status"])] if "status" in run.files.record else []
+    record = run.files.record
+    facts = [f"run {record['id']}"] if "id" in record else []
+    facts += [str(record["status"])] if "status" in record else []
     facts += [f"scene {run.files.scene.name}"] if run.files.scene else []
     facts += [_frames_in_words(run)] if "frames" in run.files.summary else []
-    facts += [f"seed {run.files.record['seed']}"] if "seed" in run.files.record else []
+    facts += [f"seed {record['seed']}"] if "seed" in record else []
     every = run.files.sample.step
     facts += [f"boxes and causes of one frame in {every}, scores of all"] if every > 1 else []
-    facts += [_origin(run.files.record["replay"])] if run.files.record.get("replay") else []
-    facts += (
-        [f"{run.files.record['mode']} on {run.files.record.get('runtime', 'mesh')}"]
-        if "mode" in run.files.record
-        else []
-    )
-    speed = run.files.record.get("timings", {}).get("frames_per_second")
+    facts += [_origin(record["replay"])] if record.get("replay") else []
+    facts += [f"{record['mode']} on {record.get('runtime', 'mesh')}"] if "mode" in record else []
+    speed = record.get("timings", {}).get("frames_per_second")
     facts += [f"{speed:.0f} frames/s"] if speed else []
     latency = run.files.summary.get("latency_ms", {}).get("sim_to_picture", {})
     if latency.get("p50") is not None and latency.get("p99"):  # lock-step has no latency: scene time stands still

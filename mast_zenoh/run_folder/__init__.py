@@ -25,25 +25,6 @@ from mast_zenoh.run_folder.files import (
     write_json,
 )
 
-__all__ = [
-    "check_free",
-    "check_plain",
-    "create",
-    "finish",
-    "finite",
-    "json_or_empty",
-    "open_plain",
-    "parse_json",
-    "read_json",
-    "read_object",
-    "reading",
-    "release",
-    "replacing",
-    "reserve",
-    "reserved",
-    "subfolder",
-    "versions",
-    "write_bytes",
-    "write_json",
-    "write_new",
-]
+__all__ = ["check_free", "create", "finish", "release", "reserve", "reserved", "versions", "write_new"]
+__all__ += ["check_plain", "finite", "json_or_empty", "open_plain", "parse_json", "read_json", "read_object", "reading"]
+__all__ += ["replacing", "subfolder", "write_bytes", "write_json"]

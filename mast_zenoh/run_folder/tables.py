@@ -13,11 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow
 from numpy.typing import NDArray
-from pyarrow import parquet
 
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.run_folder import check_plain, open_plain, replacing
+from mast_zenoh.run_folder import check_plain, open_plain
 from mast_zenoh.run_folder.parquet_footers import Footer, read_footer
 from mast_zenoh.run_folder.unpacking import MAX_TABLE_BYTES, check_expanded, read_parquet, read_row_group
 
@@ -48,13 +47,6 @@ def _hide_pandas() -> None:
 
 
 _hide_pandas()
-
-
-def write_table(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write a table as Parquet, whole or not at all; a NaN is a missing value."""
-    table = to_arrow(columns)
-    with replacing(path) as new:
-        parquet.write_table(table, new)
 
 
 def read_table(path: Path) -> dict[str, NDArray[Any]]:

@@ -103,69 +103,36 @@ GROUNDS = {
         agents=("#3d4654", "#1f7a70", "#6a4fc0", "#7d6420", "#8a94a6"),
     ),
 }
+
+
+def _key(outcomes: str, marks: str, states: str) -> Key:
+    """A key. outcomes, states: colours in the order of OUTCOME_COLOURS and STATES;  marks: adversary, fault, agent"""
+    adversary, fault, agent = marks.split()
+    of_outcomes = dict(zip(OUTCOME_COLOURS, outcomes.split(), strict=True))
+    return Key(of_outcomes, adversary, fault, agent, dict(zip(STATES, states.split(), strict=True)))
+
+
 #: By name and ground: the paper's key, on light ground with black for matched truth and darker colours; and a key that
 #: is distinguishable under every colour-vision deficiency.
 KEYS = {
     "paper": {
         "dark": Key(OUTCOME_COLOURS, ADVERSARY, "#d9a441", AGENT, STATES),
-        "light": Key(
-            {
-                "unevaluated": "#128a37",
-                "truth matched": INK,
-                "track matched": "#1766e0",
-                "truth missed": "#bd8b00",
-                "track false": "#d31818",
-            },
-            ADVERSARY_ON_LIGHT,
-            FAULT_ON_LIGHT,
-            "#00728f",
-            {
-                "unknown": "#6b7280",
-                "trusted": "#00728f",
-                "faulty": "#a86400",
-                "suspended": "#c8401c",
-                "undecided": "#4c1fa8",
-            },
+        "light": _key(
+            f"#128a37 {INK} #1766e0 #bd8b00 #d31818",
+            f"{ADVERSARY_ON_LIGHT} {FAULT_ON_LIGHT} #00728f",
+            "#6b7280 #00728f #a86400 #c8401c #4c1fa8",
         ),
     },
     "safe": {
-        "dark": Key(
-            {
-                "unevaluated": "#00b386",
-                "truth matched": "#ffffff",
-                "track matched": "#56b4e9",
-                "truth missed": "#f0e442",
-                "track false": "#ff7a1a",
-            },
-            "#e79ac6",
-            "#d9a441",
-            "#b9e2f7",
-            {
-                "unknown": "#9aa7b8",
-                "trusted": "#b9e2f7",
-                "faulty": "#f0e442",
-                "suspended": "#ff7a1a",
-                "undecided": "#9b6bff",
-            },
+        "dark": _key(
+            "#00b386 #ffffff #56b4e9 #f0e442 #ff7a1a",
+            "#e79ac6 #d9a441 #b9e2f7",
+            "#9aa7b8 #b9e2f7 #f0e442 #ff7a1a #9b6bff",
         ),
-        "light": Key(
-            {
-                "unevaluated": "#00795a",
-                "truth matched": INK,
-                "track matched": "#0072b2",
-                "truth missed": "#b88700",
-                "track false": "#d55e00",
-            },
-            "#a3497d",
-            "#7a5c00",
-            "#0072b2",
-            {
-                "unknown": "#6b7280",
-                "trusted": "#0072b2",
-                "faulty": "#b88700",
-                "suspended": "#d55e00",
-                "undecided": "#4c1fa8",
-            },
+        "light": _key(
+            f"#00795a {INK} #0072b2 #b88700 #d55e00",
+            "#a3497d #7a5c00 #0072b2",
+            "#6b7280 #0072b2 #b88700 #d55e00 #4c1fa8",
         ),
     },
 }

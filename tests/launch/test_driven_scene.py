@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from driven import driven
+from page_blocks import unpack
 from recorded_observer import RecordedObserver
 
 from mast_zenoh.launch import run, twin
@@ -16,7 +17,6 @@ from mast_zenoh.report import comparison
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes import Recording
-from mast_zenoh.viewer.page.columns import unpack
 from mast_zenoh.viewer.page.live_view import LiveBlocks
 
 ATTACK = ("attack=GhostAhead", "wire=detections", "attack_start_s=0.6")

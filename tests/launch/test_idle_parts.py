@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from kept_texts import assert_kept
+from table_writing import write_table
 from tiny_world import tiny
 
 from mast_zenoh import scenario
@@ -18,7 +19,6 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run
 from mast_zenoh.launch.idle import idle_parts
 from mast_zenoh.metrics import FrameMetric, RunMetric
-from mast_zenoh.run_folder.tables import write_table
 
 Edit = Callable[[dict[str, Any]], Any]
 UNCOORDINATED = dict(type="UncoordinatedAttack", start_s=0.0)

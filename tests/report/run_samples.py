@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from table_writing import write_table
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw, rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import Detections
-from mast_zenoh.run_folder.tables import write_table
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
 from mast_zenoh.sensing.sensors import Camera, LidarSensor
 from tests.support.wirings import wiring_of

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 from run_samples import edit
+from table_writing import write_table
 
 from mast_zenoh.report import terminal
 from mast_zenoh.report.figures.over_time import causes_over_time, counts_over_time
@@ -21,7 +22,7 @@ from mast_zenoh.report.figures.timeaxis import Band, bands, lanes, place_bands
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.tables.of_run import cause_table, check_lines, check_rows, latency_tables
 from mast_zenoh.report.tables.text_table import DASH
-from mast_zenoh.run_folder.tables import read_table, write_table
+from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.runs.run import Run
 
 PARTITION = {"label": "Partition infra_1", "kind": "fault", "type": "Partition", "at_s": 0.5, "until_s": 1.5}

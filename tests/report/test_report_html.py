@@ -9,14 +9,15 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
+from page_blocks import unpack
 from parsed_page import Page
 from run_samples import edit
+from table_writing import write_table
 
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.report.html import write_report, write_study_report
-from mast_zenoh.run_folder.tables import read_table, write_table
+from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.runs.run import Run
-from mast_zenoh.viewer.page.columns import unpack
 
 RunFolderFixture = Callable[..., Path]
 

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from kept_texts import assert_kept
 from matplotlib.figure import Figure
+from page_blocks import unpack
 from run_samples import FRAMES
+from table_writing import write_table
 
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.driven import driven_figure
@@ -22,12 +24,10 @@ from mast_zenoh.report.findings.cars import of_cars
 from mast_zenoh.report.findings.words import said
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.tables.of_run import driven_table
-from mast_zenoh.run_folder.tables import write_table
 from mast_zenoh.runs.driven import course_of, reason_of, twin_course
 from mast_zenoh.runs.files import Table
 from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.page.block import run_block
-from mast_zenoh.viewer.page.columns import unpack
 from mast_zenoh.viewer.palette import RUN_COLOURS
 
 RunOf = Callable[..., Run]

@@ -13,6 +13,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 from rich.console import Console
 from run_samples import edit
+from table_writing import write_table
 
 from mast_zenoh.report import terminal
 from mast_zenoh.report.figures.drawing import birdseye_figure
@@ -30,7 +31,6 @@ from mast_zenoh.report.tables.of_run import (
     suspension_table,
     undecided_table,
 )
-from mast_zenoh.run_folder.tables import write_table
 from mast_zenoh.runs.events import (
     fault_spans,
     happenings,

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from table_writing import write_table
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.run_folder.tables import from_arrow, read_table, to_arrow, write_table
+from mast_zenoh.run_folder.tables import from_arrow, read_table, to_arrow
 
 texts = st.lists(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=8), max_size=20)
 
@@ -51,9 +52,10 @@ def test_tables_do_not_load_pandas_but_it_can_still_be_imported(tmp_path: Path) 
     program = (
         "import sys, numpy as np\n"
         "from pathlib import Path\n"
-        "from mast_zenoh.run_folder.tables import read_arrow, read_table, write_table\n"
+        "from mast_zenoh.run_folder.tables import read_arrow, read_table, to_arrow\n"
+        "from pyarrow import parquet\n"
         "path = Path('t.parquet')\n"
-        "write_table(path, {'name': np.array(['a', 'b']), 'x': np.array([1.0, np.nan])})\n"
+        "parquet.write_table(to_arrow({'name': np.array(['a', 'b']), 'x': np.array([1.0, np.nan])}), path)\n"
         "read_table(path)\n"
         "assert 'pandas' not in sys.modules\n"
         "assert read_arrow(path).to_pandas()['name'].tolist() == ['a', 'b']\n"

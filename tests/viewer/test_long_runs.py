@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from equal_runs import run_alone
 from long_run import SHORT_FRAMES, repeated, sparse
+from page_blocks import unpack
 
 import mast_zenoh as mast
 from mast_zenoh.config import loading
@@ -24,7 +25,6 @@ from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes import recording as recording_module
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.viewer.page.block import run_block
-from mast_zenoh.viewer.page.columns import unpack
 
 opening = loading.module(Path(__file__).parents[2] / "benchmarks" / "opening.py")
 EVERY = 4

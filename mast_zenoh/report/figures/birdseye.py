@@ -131,14 +131,9 @@ class AgentMarks:
         place = min(frame, len(recording) - 1)
         occupied: list[tuple[float, float, float, float]] = []
         sectors, colours = [], []
-        for agent, mark, name, position, rotation in zip(
-            recording.agents,
-            self.marks,
-            self.names,
-            recording.agent_position[place],
-            recording.agent_rotation[place],
-            strict=True,
-        ):
+        poses = recording.agent_position[place], recording.agent_rotation[place]
+        shown = zip(recording.agents, self.marks, self.names, *poses, strict=True)
+        for agent, mark, name, position, rotation in shown:
             look, turn = looks[agent.name], float(heading(rotation @ agent.sensor.mount_rotation))
             sectors.append(_sector(position, turn, agent.sensor))
             colours.append(to_rgba(look.colour, _OPACITY * min(1.0, _MANY / len(recording.agents))))

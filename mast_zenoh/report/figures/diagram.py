@@ -73,18 +73,8 @@ def _is_above_flow(run: Run, plan: DiagramLayout, spot: Spot) -> bool:
 
 
 def _draw_line(axes: Axes, route: Curve, colour: str, width: float) -> None:
-    axes.add_patch(
-        FancyArrowPatch(
-            path=route,
-            arrowstyle="-|>,head_length=5,head_width=2.5",
-            edgecolor=colour,
-            facecolor=colour,
-            linewidth=width,
-            shrinkA=0,
-            shrinkB=0,
-            zorder=1,
-        )
-    )
+    style: dict[str, Any] = {"arrowstyle": "-|>,head_length=5,head_width=2.5", "linewidth": width, "zorder": 1}
+    axes.add_patch(FancyArrowPatch(path=route, edgecolor=colour, facecolor=colour, shrinkA=0, shrinkB=0, **style))
 
 
 def _draw_node(axes: Axes, run: Run, node: str, x: float, y: float, when: str) -> None:
@@ -97,13 +87,12 @@ def _draw_node(axes: Axes, run: Run, node: str, x: float, y: float, when: str) -
     rounded = "round,pad=0,rounding_size=0.07"
     style: dict[str, Any] = {"facecolor": face, "edgecolor": edge, "linewidth": 1.2, "zorder": 2}
     axes.add_patch(FancyBboxPatch(*box, boxstyle=rounded, linestyle="--" if when else "-", **style))
+    words: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 3}
     if when:
         ground = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
-        axes.text(
-            x, y - HIGH / 2 - 0.09, when, ha="center", va="center", fontsize=7.5, color=edge, bbox=ground, zorder=3
-        )
+        axes.text(x, y - HIGH / 2 - 0.09, when, fontsize=7.5, color=edge, bbox=ground, **words)
     label = node if len(node) <= 20 else node[:18] + "…"
-    axes.text(x, y, plain(label), ha="center", va="center", fontsize=9.5, color=edge if hostile else INK, zorder=3)
+    axes.text(x, y, plain(label), fontsize=9.5, color=edge if hostile else INK, **words)
 
 
 def _name_lines(axes: Axes, run: Run, plan: DiagramLayout) -> None:

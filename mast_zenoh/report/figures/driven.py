@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.figures.birdseye import draw_ground
+from mast_zenoh.report.figures.over_time import handles_of, legend_above
 from mast_zenoh.report.figures.style import THEMES, Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import padded
 from mast_zenoh.report.figures.window import Window
@@ -57,20 +58,9 @@ def driven_figure(run: Run, reference: Reference | None = None) -> Figure | None
     charts[1].set_ylim(1.1 * min(least), 1.1 * max(most))
     charts[1].set_xlim(*padded(float(course["time_s"][0]), float(course["time_s"][-1])))
     charts[1].set_xlabel("time (s)", fontsize=10, color=INK)
-    handles = {
-        label: handle for axis in charts for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(
-        list(handles.values()),
-        list(handles),
-        loc="upper left",
-        bbox_to_anchor=((_LEFT + _MAP + 0.62) / _WIDTH, 1.0),
-        ncols=3 if len(handles) > 4 else 4,
-        frameon=False,
-        fontsize=9.5,
-        columnspacing=1.2,
-        handlelength=1.7,
-    )
+    handles, corner = handles_of(charts), ((_LEFT + _MAP + 0.62) / _WIDTH, 1.0)
+    style = {"bbox_to_anchor": corner, "fontsize": 9.5, "columnspacing": 1.2, "handlelength": 1.7}
+    legend_above(figure, handles, 3 if len(handles) > 4 else 4, **style)
     return figure
 
 

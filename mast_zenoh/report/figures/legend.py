@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
@@ -74,19 +75,10 @@ def draw_legend(figure: Figure, entries: Sequence[Artist], theme: Theme, size: f
 
     size: points, of text
     """
+    look: dict[str, Any] = {"loc": "lower center", "frameon": False, "labelcolor": theme.ink, "fontsize": size}
+    look |= {"handlelength": 1.3, "columnspacing": 1.3, "labelspacing": 0.4, "borderaxespad": 0.3}
     for lines in range(1, len(entries) + 1):
-        legend = figure.legend(
-            handles=list(entries),
-            loc="lower center",
-            ncols=-(-len(entries) // lines),
-            frameon=False,
-            labelcolor=theme.ink,
-            fontsize=size,
-            handlelength=1.3,
-            columnspacing=1.3,
-            labelspacing=0.4,
-            borderaxespad=0.3,
-        )
+        legend = figure.legend(handles=list(entries), ncols=-(-len(entries) // lines), **look)
         extent = legend.get_window_extent()
         if extent.width <= 0.97 * figure.bbox.width or lines == len(entries):
             break

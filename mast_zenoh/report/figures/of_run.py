@@ -390,8 +390,4 @@ def frame_choice(run: Run, estimate: str, reference: str = "") -> str:
         return f"{_CHOICE_CLEAN}."
     beyond = f" beyond those of {reference} in the same frame" if reference else ""
     sentence = _CHOICE_ATTACKED.format(where=f"of the {column_name(estimate)}", beyond=beyond)
-    return (
-        sentence.replace(", since the first change by an adversary,", "") + "."
-        if not run.attack_frames
-        else f"{sentence}."
-    )
+    return f"{sentence if run.attack_frames else sentence.replace(', since the first change by an adversary,', '')}."

@@ -147,11 +147,12 @@ _CAUSE_COLOURS = {
 
 def legend_above(figure: Figure, handles: Mapping[str, Any], columns: int, **style: Any) -> None:
     """A legend above stacked charts; handles: by label."""
-    style = {"frameon": False, "fontsize": 10, "ncols": columns} | style
-    figure.legend(list(handles.values()), list(handles), loc="upper left", bbox_to_anchor=(0.055, 1.0), **style)
+    place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (0.055, 1.0)}
+    style = {"frameon": False, "fontsize": 10, "ncols": columns} | place | style
+    figure.legend(list(handles.values()), list(handles), **style)
 
 
-def _handles(axes: Sequence[Axes]) -> dict[str, Any]:
+def handles_of(axes: Sequence[Axes]) -> dict[str, Any]:
     """The legend entries of all charts by label."""
     return {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
 
@@ -204,7 +205,7 @@ def causes_over_time(run: Run, frame: int | None) -> Figure | None:
         axis.set_ylabel(f"{label}\nper frame", fontsize=10, color=INK)
         axis.set_ylim(0.0, max(1.08 * below[scored].max(initial=0.0), 2.0))
         axis.yaxis.set_major_locator(MaxNLocator(4, integer=True))
-    handles = _handles(axes)
+    handles = handles_of(axes)
     order = {cause: handles[cause] for cause in _CAUSE_COLOURS if cause in handles}
     legend_above(figure, order, 9, columnspacing=1.3, handlelength=1.5)
     return figure
@@ -239,7 +240,7 @@ def driving_over_time(run: Run, frame: int | None) -> Figure | None:
     _draw_collision(axes[0], times, parts)
     _draw_corridor(axes[1], times, parts, scored(run, frames))
     _draw_braking(axes[2], times, parts)
-    legend_above(figure, _handles(axes), 8, fontsize=9, columnspacing=1.0, handlelength=1.6)
+    legend_above(figure, handles_of(axes), 8, fontsize=9, columnspacing=1.0, handlelength=1.6)
     return figure
 
 
@@ -247,16 +248,8 @@ def _draw_collision(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> N
     for name, part in parts.items():
         ttc = np.nan_to_num(part["ttc_s"].astype(np.float64), nan=np.inf)
         visible = np.where(ttc <= _MAX_TTC_S, ttc, np.nan)
-        axis.plot(
-            times,
-            visible,
-            color=_DRIVING_COLOURS[name],
-            linestyle=_DRIVING_STYLES[name],
-            linewidth=1.8,
-            marker=".",
-            markersize=3,
-            label=DRIVEN_BY[name],
-        )
+        look: dict[str, Any] = {"color": _DRIVING_COLOURS[name], "linestyle": _DRIVING_STYLES[name], "linewidth": 1.8}
+        axis.plot(times, visible, marker=".", markersize=3, label=DRIVEN_BY[name], **look)
     if not any((part["ttc_s"].astype(np.float64) <= _MAX_TTC_S).any() for part in parts.values()):
         _annotate(axis, f"nothing in the way within {_MAX_TTC_S:.0f} s in any of the three")
     axis.set_ylim(0.0, _MAX_TTC_S)
@@ -268,14 +261,8 @@ def _draw_corridor(axis: Axes, times: np.ndarray, parts: dict[str, Table], in_sc
     for name, part in parts.items():
         wrong = (part["false"] + part["missed"]).astype(np.float64)
         if name != "truth":
-            axis.plot(
-                times,
-                wrong,
-                color=_DRIVING_COLOURS[name],
-                linestyle=_DRIVING_STYLES[name],
-                drawstyle="steps-mid",
-                linewidth=1.6,
-            )
+            look: dict[str, Any] = {"color": _DRIVING_COLOURS[name], "linestyle": _DRIVING_STYLES[name]}
+            axis.plot(times, wrong, drawstyle="steps-mid", linewidth=1.6, **look)
             maximum = max(maximum, float(wrong[in_scored_frames].max(initial=0.0)))
     axis.set_ylim(0.0, 1.1 * maximum)
     axis.yaxis.set_major_locator(MaxNLocator(4, integer=True))
@@ -297,11 +284,8 @@ def _draw_braking(axis: Axes, times: np.ndarray, parts: dict[str, Table]) -> Non
                 labelled.add(kind)
     if not any(part[kind].any() for part in parts.values() for kind in _BRAKING):
         _annotate(axis, "no braking in any of the three")
-    axis.set_yticks(
-        np.arange(len(parts)) + 0.5,
-        [DRIVEN_BY[name].replace(" with ", " with\n") for name in reversed(parts)],
-        fontsize=8,
-    )
+    names = [DRIVEN_BY[name].replace(" with ", " with\n") for name in reversed(parts)]
+    axis.set_yticks(np.arange(len(parts)) + 0.5, names, fontsize=8)
     axis.set_ylim(0.0, len(parts))
     axis.grid(visible=False)
 

@@ -112,16 +112,8 @@ def draw_lanes(axes: Axes, placed: Sequence[PlacedBand], left_out: int, low: flo
         start, end = max(band.start, low), min(band.end, high)
         style: dict[str, Any] = {"facecolor": (band.colour, 0.22), "edgecolor": band.colour, "linewidth": 0.8}
         axes.add_patch(Rectangle((start, each.lane + 0.1), end - start, 0.8, **style))
-        axes.text(
-            each.x,
-            each.lane + 0.47,
-            plain(shortened(band.label)),
-            ha=each.align,
-            va="center",
-            fontsize=_FONT_SIZE,
-            color=INK,
-            clip_on=False,
-        )
+        words: dict[str, Any] = {"ha": each.align, "va": "center", "fontsize": _FONT_SIZE, "color": INK}
+        axes.text(each.x, each.lane + 0.47, plain(shortened(band.label)), clip_on=False, **words)
     if left_out:
         note = f"and {left_out} more"
         axes.text(high, lanes(placed), note, ha="right", va="bottom", fontsize=_FONT_SIZE, color=INK)
@@ -141,13 +133,8 @@ def shade(axes: Axes, bands: Sequence[Band], low: float, high: float, *, hatch: 
 
 def fault_legend() -> Patch:
     """A legend entry for `shade`."""
-    style: dict[str, Any] = {
-        "facecolor": (FAULT_ON_LIGHT, 0.07),
-        "edgecolor": (FAULT_ON_LIGHT, 0.5),
-        "hatch": HATCH,
-        "linewidth": 0,
-    }
-    return Patch(label="fault", **style)
+    colours: dict[str, Any] = {"facecolor": (FAULT_ON_LIGHT, 0.07), "edgecolor": (FAULT_ON_LIGHT, 0.5)}
+    return Patch(label="fault", hatch=HATCH, linewidth=0, **colours)
 
 
 def shortened(label: str) -> str:

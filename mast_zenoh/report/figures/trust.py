@@ -12,6 +12,7 @@ from matplotlib.patches import Patch, Rectangle
 
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans, TrustPanel
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
+from mast_zenoh.report.figures.over_time import legend_above
 from mast_zenoh.report.figures.style import Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import HATCH, padded
 from mast_zenoh.runs.events import trust_in_agents
@@ -60,23 +61,13 @@ def trust_over_time(run: Run, frame: int | None) -> Figure | None:
         axes.set_xlim(*padded(low, end))
         axes.tick_params(labelbottom=index == len(agents) - 1)
         if frame is not None:
-            seconds = run.seconds(np.array([frame]))
-            at = frame * run.period_s if seconds is None else float(seconds[0])
-            axes.axvline(at, color=INK, linewidth=0.9)
+            axes.axvline(float(run.times(np.array([frame]))[0]), color=INK, linewidth=0.9)
         if index == len(agents) - 1:
             axes.set_xlabel("time (s)", fontsize=10, color=INK)
     handles = legend(agents)
     if frame is not None:
         handles.append(Line2D([], [], color=INK, linewidth=0.9, label="frame shown"))
-    figure.legend(
-        handles=handles,
-        loc="upper left",
-        bbox_to_anchor=(0.055, 1.0),
-        ncols=len(handles),
-        frameon=False,
-        fontsize=10,
-        columnspacing=1.5,
-    )
+    legend_above(figure, {str(each.get_label()): each for each in handles}, len(handles), columnspacing=1.5)
     return figure
 
 

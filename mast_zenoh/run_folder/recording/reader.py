@@ -353,21 +353,9 @@ def _recorded(
         except (MessageError, KeyError) as error:
             raise RunFolderError(f"{path}: {channel.topic}: {error}") from None
         frame, seq = header.frame, header.seq
-    return Recorded(
-        channel.topic,
-        wire,
-        tap,
-        message,
-        publisher,
-        frame,
-        record.publish_time,
-        seq,
-        record.data,
-        malformed,
-        frame if step is None else step,
-        rank,
-        schema,
-    )
+    of_channel = channel.topic, wire, tap, message, publisher
+    of_record = frame, record.publish_time, seq, record.data
+    return Recorded(*of_channel, *of_record, malformed, frame if step is None else step, rank, schema)
 
 
 #: Limits on a chunk, unpacked. The writer begins a new one after 1 MiB or CHUNK_MESSAGES, and a message has 16 MiB at

@@ -21,11 +21,9 @@ from mast_zenoh.viewer.palette import OUTCOME_COLOURS, rgb
 from mast_zenoh.wiring.plain_shapes import EXPECTED_NAME, is_name
 
 #: Colours (4, 3), 0 to 255, of the outcomes of objects of the truth, and of tracks.
-_TRUTH_COLOURS = np.array(
-    [rgb(OUTCOME_COLOURS.get(f"truth {name}", OUTCOME_COLOURS["unevaluated"])) for name in OUTCOMES]
-)
-_TRACK_COLOURS = np.array(
-    [rgb(OUTCOME_COLOURS.get(f"track {name}", OUTCOME_COLOURS["unevaluated"])) for name in OUTCOMES]
+_TRUTH_COLOURS, _TRACK_COLOURS = (
+    np.array([rgb(OUTCOME_COLOURS.get(f"{kind} {name}", OUTCOME_COLOURS["unevaluated"])) for name in OUTCOMES])
+    for kind in ("truth", "track")
 )
 
 

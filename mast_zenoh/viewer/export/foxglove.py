@@ -6,6 +6,7 @@ import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import foxglove
 import numpy as np
@@ -36,14 +37,10 @@ def replacement(time_ns: int, entities: list[fox.SceneEntity]) -> fox.SceneUpdat
 
 def building_entity(run: Run, scene: Recording, time_ns: int) -> fox.SceneEntity:
     """The edges of the buildings of a scene."""
-    corners = columns.wall_lines(scene).reshape(-1, 3) - run.origin
-    lines = fox.LinePrimitive(
-        type=fox.LinePrimitiveLineType.LineList,
-        thickness=0.15,
-        points=[fox.Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()],
-        color=_colour(rgb(BUILDING_EDGE)),
-    )
-    return fox.SceneEntity(timestamp=timestamp_of(time_ns), frame_id=columns.scene_frame(run), id="0", lines=[lines])
+    points = _points(columns.wall_lines(scene).reshape(-1, 3) - run.origin)
+    look: dict[str, Any] = {"thickness": 0.15, "color": _colour(rgb(BUILDING_EDGE))}
+    lines = fox.LinePrimitive(type=fox.LinePrimitiveLineType.LineList, points=points, **look)
+    return _entity(run, time_ns, 0, lines=[lines])
 
 
 def change_entities(run: Run, frame: Frame) -> list[fox.SceneEntity]:
@@ -55,21 +52,11 @@ def change_entities(run: Run, frame: Frame) -> list[fox.SceneEntity]:
         if not places or made.role[k] == "link":
             continue
         spheres = [fox.SpherePrimitive(pose=_pose(places[-1]), size=fox.Vector3(x=1.0, y=1.0, z=1.0), color=colour)]
-        ends = [fox.Point3(x=x, y=y, z=z) for x, y, z in np.array(places).tolist()]
-        lines = [fox.LinePrimitive(thickness=0.2, points=ends, color=colour)] if len(ends) == 2 else []
+        lines = [fox.LinePrimitive(thickness=0.2, points=_points(np.array(places)), color=colour)] * (len(places) == 2)
         words = [
             fox.KeyValuePair(key=name, value=str(getattr(made, name)[k])) for name in ("interposer", "wire", "effect")
         ]
-        entities.append(
-            fox.SceneEntity(
-                timestamp=timestamp_of(frame.time_ns),
-                frame_id=columns.scene_frame(run),
-                id=str(k),
-                metadata=words,
-                spheres=spheres,
-                lines=lines,
-            )
-        )
+        entities.append(_entity(run, frame.time_ns, k, metadata=words, spheres=spheres, lines=lines))
     return entities
 
 
@@ -80,7 +67,7 @@ def box_entities(
     positions = states.position - run.origin
     turns, kinds = scalar_last_quaternions(states.yaw), columns.class_names(states)
     ahead = np.stack([np.cos(states.yaw), np.sin(states.yaw), 0 * states.yaw], axis=1) * (states.size[:, :1] / 2 + 1.2)
-    lines = np.stack([positions, positions + ahead], axis=1).tolist()
+    lines = np.stack([positions, positions + ahead], axis=1)
     entities = []
     for k, number in enumerate(states.id.tolist()):
         words = {
@@ -89,29 +76,21 @@ def box_entities(
             "score": f"{states.score[k]:.3f}",
             "velocity": " ".join(f"{value:.3f}" for value in states.velocity[k]),
         }
-        entities.append(
-            fox.SceneEntity(
-                timestamp=timestamp_of(frame.time_ns),
-                frame_id=columns.scene_frame(run),
-                id=str(number),
-                metadata=[fox.KeyValuePair(key=key, value=value) for key, value in words.items()],
-                cubes=[
-                    fox.CubePrimitive(
-                        pose=_pose(positions[k], turns[k]),
-                        size=vector(states.size[k]),
-                        color=_colour(colour[k], 0.5),
-                    )
-                ],
-                lines=[
-                    fox.LinePrimitive(
-                        thickness=0.1,
-                        points=[fox.Point3(x=x, y=y, z=z) for x, y, z in lines[k]],
-                        color=_colour(colour[k]),
-                    )
-                ],
-            )
+        box = fox.CubePrimitive(
+            pose=_pose(positions[k], turns[k]), size=vector(states.size[k]), color=_colour(colour[k], 0.5)
         )
+        line = fox.LinePrimitive(thickness=0.1, points=_points(lines[k]), color=_colour(colour[k]))
+        metadata = [fox.KeyValuePair(key=key, value=value) for key, value in words.items()]
+        entities.append(_entity(run, frame.time_ns, number, metadata=metadata, cubes=[box], lines=[line]))
     return entities
+
+
+def _entity(run: Run, time_ns: int, number: int, **parts: Any) -> fox.SceneEntity:
+    return fox.SceneEntity(timestamp=timestamp_of(time_ns), frame_id=columns.scene_frame(run), id=str(number), **parts)
+
+
+def _points(rows: Floats) -> list[fox.Point3]:
+    return [fox.Point3(x=x, y=y, z=z) for x, y, z in rows.tolist()]
 
 
 def blank_image(camera: Camera) -> bytes:
@@ -168,12 +147,8 @@ def write(run: Run, path: Path) -> None:
             if number == 0:
                 channels_of_run.write_buildings(frame.time_ns)
             channels_of_run.write(frame)
-    write_layout(run, path.with_name(f"{path.stem}.layout.json"))
-
-
-def write_layout(run: Run, path: Path) -> None:
-    """Write the layout of a run."""
-    path.write_text(json.dumps(layouts.layout(run), indent=1) + "\n", encoding="utf-8")
+    text = json.dumps(layouts.layout(run), indent=1) + "\n"
+    path.with_name(f"{path.stem}.layout.json").write_text(text, encoding="utf-8")
 
 
 class RunChannels:
@@ -238,28 +213,17 @@ class RunChannels:
     def _poses(self, frame: Frame) -> None:
         """The poses of the agents and of their cameras, in one message; the calibrations, and the blank image."""
         time, transforms = timestamp_of(frame.time_ns), []
+
+        def add(parent: str, child: str, position: Floats, turn: fox.Quaternion) -> None:
+            place: dict[str, Any] = {"translation": vector(position), "rotation": turn}
+            transforms.append(fox.FrameTransform(timestamp=time, parent_frame_id=parent, child_frame_id=child, **place))
+
         if columns.scene_frame(self.run) != columns.WORLD:
-            transforms.append(
-                fox.FrameTransform(
-                    timestamp=time,
-                    parent_frame_id=columns.WORLD,
-                    child_frame_id=columns.scene_frame(self.run),
-                    translation=vector(self.run.origin),
-                    rotation=fox.Quaternion(w=1.0),
-                )
-            )
+            add(columns.WORLD, columns.scene_frame(self.run), self.run.origin, fox.Quaternion(w=1.0))
         for agent, pose in frame.poses.items():
             camera = self.cameras[agent]
             for parent, child, position, turn in columns.transforms_of(agent, pose, camera):
-                transforms.append(
-                    fox.FrameTransform(
-                        timestamp=time,
-                        parent_frame_id=parent,
-                        child_frame_id=child,
-                        translation=vector(position),
-                        rotation=quaternion(turn),
-                    )
-                )
+                add(parent, child, position, quaternion(turn))
             k = [camera.focal, 0.0, camera.width / 2, 0.0, camera.focal, camera.height / 2, 0.0, 0.0, 1.0]
             calibration = fox.CameraCalibration(
                 timestamp=time,

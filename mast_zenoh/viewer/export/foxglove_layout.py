@@ -97,22 +97,9 @@ def scene_of(shown: Mapping[str, bool]) -> dict[str, Any]:
 def from_above(run: Run, frame_id: str) -> dict[str, Any]:
     """The part of a panel that shows all agents from above."""
     centre, distance = view_of(run)
-    return {
-        "followMode": "follow-none",
-        "followTf": frame_id,
-        "cameraState": {
-            "perspective": False,
-            "distance": distance,
-            "phi": 0,
-            "thetaOffset": 0,
-            "fovy": 45,
-            "near": 0.5,
-            "far": 5000,
-            "target": [0, 0, 0],
-            "targetOrientation": [0, 0, 0, 1],
-            "targetOffset": [*centre, 0],
-        },
-    }
+    camera = dict(perspective=False, distance=distance, phi=0, thetaOffset=0, fovy=45, near=0.5, far=5000)
+    target = dict(target=[0, 0, 0], targetOrientation=[0, 0, 0, 1], targetOffset=[*centre, 0])
+    return {"followMode": "follow-none", "followTf": frame_id, "cameraState": camera | target}
 
 
 def split(direction: str, first: Any, second: Any, percentage: int) -> dict[str, Any]:

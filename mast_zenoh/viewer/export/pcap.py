@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from mast_zenoh.errors import ExportError, MessageError
 from mast_zenoh.messages import codec
@@ -129,8 +129,11 @@ def write(run: Run, path: Path) -> None:
                 except MessageError:
                     refused += 1
                     continue
-                for number, each in enumerate(packets, written + 1):
-                    each.write(file, lines, number)
+                seconds, nanoseconds = divmod(message.time_ns, 1_000_000_000)
+                about = {"frame": message.frame, "time_ns": message.time_ns, "wire": message.wire}
+                for number, (data, fields) in enumerate(packets, written + 1):  # as Wireshark counts
+                    file.write(_PACKET_HEADER.pack(EPOCH_S + seconds, nanoseconds, len(data), len(data)) + data)
+                    lines.write(json.dumps({"number": number, **about, **fields}) + "\n")
                 written += len(packets)
                 if attack:
                     forged[attack.node, attack.wire, attack.before or "all"] += len(packets)
@@ -158,36 +161,8 @@ def _address(station_id: int) -> bytes:
     return _LOCAL + station_id.to_bytes(4, "big")
 
 
-class _Packet(NamedTuple):
-    """A packet of a message. data: from Ethernet on;  codec, segment: what it carries;  node: the adversary, if any"""
-
-    message: Recorded
-    data: bytes
-    codec: str
-    segment: bytes
-    station_id: int
-    node: str | None
-
-    def write(self, file: IO[bytes], lines: IO[str], number: int) -> None:
-        """Write it into the capture file, and its fields as a line. number: as Wireshark counts, from 1"""
-        seconds, nanoseconds = divmod(self.message.time_ns, 1_000_000_000)
-        file.write(_PACKET_HEADER.pack(EPOCH_S + seconds, nanoseconds, len(self.data), len(self.data)) + self.data)
-        layout = _LAYOUTS[self.codec]
-        fields: dict[str, Any] = {
-            "number": number,
-            "frame": self.message.frame,
-            "time_ns": self.message.time_ns,
-            "wire": self.message.wire,
-            "adversary": self.node,
-            "station_id": self.station_id,
-            "type": self.codec,
-            "message": to_plain(layout, uper.decode(layout, self.segment)),
-        }
-        lines.write(json.dumps(fields) + "\n")
-
-
-def _packets(message: Recorded, node: str | None) -> Iterator[_Packet]:
-    """The packets of a message. Raises MessageError, before the first one, if it is no such one.
+def _packets(message: Recorded, node: str | None) -> Iterator[tuple[bytes, dict[str, Any]]]:
+    """The packets of a message, and what each carries. Raises MessageError, before the first one, if it is no such one.
 
     node: the adversary that sends it from an address of its own; None: the station that the message names
     """
@@ -198,12 +173,14 @@ def _packets(message: Recorded, node: str | None) -> Iterator[_Packet]:
         raise MessageError(f"{message.key}: found columns, expected a CPM or a CAM")
     if message.time_ns >= _MAX_TIME_NS:
         raise MessageError(f"{message.key}: time_ns is {message.time_ns}, expected less than {_MAX_TIME_NS}")
+    layout = _LAYOUTS[body.codec]
     for segment in body.segments:
         sender = sender_of(body.codec, segment)
         said = sender.station_id
         sender = sender if node is None else sender._replace(station_id=_station_of(node))
         data = packet(segment, _PORTS[body.codec], sender, message.time_ns // 1_000_000)
-        yield _Packet(message, data, body.codec, segment, said, node)
+        plain = to_plain(layout, uper.decode(layout, segment))
+        yield data, {"adversary": node, "station_id": said, "type": body.codec, "message": plain}
 
 
 def sender_of(name: str, segment: bytes) -> Sender:

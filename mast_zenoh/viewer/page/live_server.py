@@ -14,7 +14,6 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from http import HTTPStatus
-from types import TracebackType
 from typing import Any, Self
 from urllib.parse import urlsplit
 
@@ -35,6 +34,8 @@ QUEUED, MOST_PAGES = 3, 8
 _WAKE_S = 1.0
 #: Frames that a page may not have shown yet. It confirms each: the buffers of its connection would hold hundreds.
 _UNSHOWN = 2
+#: Headers of every page.
+_ALWAYS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "Cache-Control": "no-store"}
 _LOGGER = logging.getLogger(__name__)
 
 
@@ -184,9 +185,7 @@ class PageServer:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._over.set()
         self._server.shutdown()
 
@@ -212,16 +211,8 @@ class PageServer:
         if path != "/":
             return _refusal(HTTPStatus.NOT_FOUND, "not found")
         page, policy = self._content
-        headers = Headers(
-            {
-                "Content-Type": "text/html; charset=utf-8",
-                "Content-Length": str(len(page)),
-                "Content-Security-Policy": f"{policy}; frame-ancestors 'none'",
-                "X-Content-Type-Options": "nosniff",
-                "Referrer-Policy": "no-referrer",
-                "Cache-Control": "no-store",
-            }
-        )
+        headers = Headers({"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(page)), **_ALWAYS})
+        headers["Content-Security-Policy"] = f"{policy}; frame-ancestors 'none'"
         return Response(HTTPStatus.OK, HTTPStatus.OK.phrase, headers, page)
 
     def _send_frames(self, connection: ServerConnection) -> None:

@@ -11,11 +11,11 @@ from film_samples import ATTACK, FRAMES, images, rows_of, sheet_of
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from PIL import Image
+from table_writing import write_table
 
 import mast_zenoh as mast
 from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.writing import snapshot
-from mast_zenoh.run_folder.tables import write_table
 
 
 def centres(outlines: object) -> np.ndarray:

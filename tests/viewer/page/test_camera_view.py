@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from browser import FRAME, FRAMES, WatchedPage
 from numpy.typing import NDArray
+from page_blocks import unpack
 
 from mast_zenoh.arrays.geometry import box_corners, to_local, to_world
 from mast_zenoh.arrays.states import Floats
@@ -19,7 +20,6 @@ from mast_zenoh.report.figures.camera import clip_polygon
 from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.runs.run import Run
 from mast_zenoh.viewer.page.block import run_block
-from mast_zenoh.viewer.page.columns import unpack
 
 pytestmark = pytest.mark.heavy
 
