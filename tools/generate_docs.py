@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from compose_examples import EXAMPLES, example
 from surface import BASE_CLASSES, OF_A_RUN
 
 import mast_zenoh
@@ -18,7 +19,6 @@ from mast_zenoh import errors
 from mast_zenoh.api.catalogue import Entry, Parameter
 from mast_zenoh.api.scenes import PreparedAgent
 from mast_zenoh.arrays.states import CLASSES
-from mast_zenoh.deploy.compose_inside import EXAMPLES, example
 from mast_zenoh.layers import LAYERS
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.report.figures.plots import Plots

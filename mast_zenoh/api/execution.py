@@ -108,7 +108,8 @@ def _check_runtime(path: Path, resolved: Resolved, *, runtime: str, secure: str,
             f"secure: a secure mesh starts its own router: found the endpoint {endpoint}, expected none"
         )
     session_classes = loading.session_classes()
-    named = [session_classes.get(name, getattr(name, "cls", None)) for name in registry.type_names(_configs(resolved))]
+    configs = [dict(spec.config) for spec in resolved.nodes.values()]
+    named = [session_classes.get(name, getattr(name, "cls", None)) for name in registry.type_names(configs)]
     named += [session_classes.get(spec.type) for spec in resolved.nodes.values() if spec.file == str(loading.SESSION)]
     unloadable = sorted({cls.__name__ for cls in named if cls is not None and loading.file_of_class(cls) is None})
     if unloadable:
@@ -116,8 +117,3 @@ def _check_runtime(path: Path, resolved: Resolved, *, runtime: str, secure: str,
             f"{path}: {', '.join(unloadable)}: defined in this session, but nodes on a mesh load classes from files: "
             "expected a class in a Python file next to the scenario, or runtime='inproc'"
         )
-
-
-def _configs(resolved: Resolved) -> list[Any]:
-    """The parameters of all nodes, as the scenario has them."""
-    return [dict(spec.config) for spec in resolved.nodes.values()]

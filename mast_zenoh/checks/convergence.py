@@ -149,8 +149,12 @@ def pictures(resolved: Resolved, folder: Path) -> dict[int, Floats]:
     reference = without_faults(resolved)
     content = json.dumps([reference.to_json(), reference.wiring], sort_keys=True, default=str)
     digest = hashlib.blake2b(content.encode()).hexdigest()
+
+    def with_scene(value: Any) -> Any:
+        return str(folder / RECORDING) if isinstance(value, str) and value == RECORDING else value
+
     if _cache[0] != digest:
-        _cache = digest, _run(_with_scene(reference, folder))
+        _cache = digest, _run(reference.with_values(with_scene))
     return _cache[1]
 
 
@@ -169,21 +173,6 @@ def _run(resolved: Resolved) -> dict[int, Floats]:
     resolved.load_modules()
     InProcess(resolved, tap=tap).run()
     return positions
-
-
-def _with_scene(resolved: Resolved, folder: Path) -> Resolved:
-    """A copy whose nodes load the scene from the run folder."""
-    nodes = {
-        name: replace(
-            spec,
-            config={
-                key: str(folder / RECORDING) if isinstance(value, str) and value == RECORDING else value
-                for key, value in spec.config.items()
-            },
-        )
-        for name, spec in resolved.nodes.items()
-    }
-    return replace(resolved, nodes=nodes)
 
 
 def _without_branches(wire: Wire, links: set[str]) -> Wire:

@@ -118,17 +118,11 @@ def study(
     from mast_zenoh.study import definition
 
     loaded = definition.load(study_file, settings or ())
+    chosen: dict[str, Any] = {"trials": trials, "candidates": candidates, "jobs": jobs}
+    chosen |= {"cluster": cluster, "resume": resume, "record": record, "allow_failures": allow_failures}
     if loaded.security:
-        words = {
-            "--trials": trials,
-            "--candidates": candidates,
-            "--jobs": jobs,
-            "--cluster": cluster,
-            "--resume": resume,
-            "--record": record,
-        }
-        words |= {"--allow-failures": allow_failures, "--runtime": runtime == "inproc"}
-        invalid = ", ".join(name for name, value in words.items() if value)
+        words = {**chosen, "runtime": runtime == "inproc"}
+        invalid = ", ".join(f"--{name.replace('_', '-')}" for name, value in words.items() if value)
         problem = f"attackers run once at each level, on the mesh: expected no {invalid}"
         options.refuse(invalid, problem, study_file)
         from mast_zenoh.study import attacked_run
@@ -140,16 +134,7 @@ def study(
         return
     from mast_zenoh.study import interface
 
-    number: dict[str, Any] = {
-        "trials": trials,
-        "candidates": candidates,
-        "jobs": jobs,
-        "cluster": cluster,
-        "resume": resume,
-    }
-    chosen: dict[str, Any] = {"frames": frames, "seed": seed, "runtime": runtime}
-    chosen |= {"allow_failures": allow_failures, "record": record}
-    finished = interface.run(loaded, out, **number, **chosen, console=_out)
+    finished = interface.run(loaded, out, **chosen, frames=frames, seed=seed, runtime=runtime, console=_out)
     if isinstance(finished, interface.ComparisonResult):
         with options.reporting(finished.out):
             from mast_zenoh.report import html, terminal  # after the runs: drawing libraries are slow to load

@@ -52,10 +52,7 @@ def _wrapped(text: str, width: int) -> Iterator[str]:
 
 
 _WIDTH = 80
-_HELP = (
-    "attacks, trackers, fusion, defences, scenes, links, faults, metrics, drivers, rules, redundancy, congestion, "
-    "channel, awareness, codecs, messages, scenarios or studies. Default: all their names."
-)
+_HELP = f"{', '.join(completion.KINDS[:-1])} or {completion.KINDS[-1]}. Default: all their names."
 
 
 def list_kind(

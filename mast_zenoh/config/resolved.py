@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -205,19 +205,19 @@ class Resolved:
         for file in [Path(module) for module in self.modules]:
             loading.module(file)
 
+    def with_values(self, change: Callable[[Any], Any]) -> Resolved:
+        """A copy whose nodes have changed values of parameters. change: what a value becomes"""
+        specs = self.nodes.items()
+        configs = {name: {key: change(value) for key, value in spec.config.items()} for name, spec in specs}
+        return replace(self, nodes={name: replace(spec, config=configs[name]) for name, spec in specs})
+
     def in_folder(self, run_folder: Path) -> Resolved:
         """A copy for nodes that write into a run folder from another directory."""
 
-        def in_run_folder(value: Any) -> Any:
+        def moved(value: Any) -> Any:
             return MessageLog(run_folder / value.path) if isinstance(value, MessageLog) else value
 
-        return replace(
-            self,
-            nodes={
-                name: replace(spec, config={key: in_run_folder(value) for key, value in spec.config.items()})
-                for name, spec in self.nodes.items()
-            },
-        )
+        return self.with_values(moved)
 
     def write(self, run_folder: Path) -> None:
         """Write scenario.json, wiring.json, scene.npz and scripts, which the run's nodes need."""

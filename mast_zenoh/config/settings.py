@@ -35,9 +35,7 @@ def split(
     parameters: dict[str, Any] = {}
     dotted: dict[str, Any] = {}
     for setting in settings:
-        key, equals, value = setting.partition("=")
-        if not equals:
-            raise ConfigurationError(f"--set {setting}: expected KEY=VALUE")
+        key, value = key_and_value(setting)
         if key in known:
             parameters[key] = _typed(value, known[key].default, f"{place}: --set {key}")
         elif "." in key or key in whole:
@@ -74,13 +72,19 @@ def from_values(
     return parameters, dotted
 
 
+def key_and_value(setting: str, option: str = "--set") -> tuple[str, str]:
+    """Key and value of KEY=VALUE; raises ConfigurationError for anything else."""
+    key, equals, value = setting.partition("=")
+    if not equals:
+        raise ConfigurationError(f"{option} {setting}: expected KEY=VALUE")
+    return key, value
+
+
 def nested(settings: Sequence[str]) -> dict[str, Any]:
     """Settings as nested dicts: `a.b=1` becomes {"a": {"b": 1}}."""
     result: dict[str, Any] = {}
     for setting in settings:
-        key, equals, value = setting.partition("=")
-        if not equals:
-            raise ConfigurationError(f"--set {setting}: expected KEY=VALUE")
+        key, value = key_and_value(setting)
         *steps, last = key.split(".")
         level = result
         for step in steps:

@@ -22,6 +22,7 @@ from mast_zenoh.deploy.documents import LABEL, PORT, ROUTER
 from mast_zenoh.deploy.engine import CREDENTIALS, DeployedNodes, DeploymentEngine, numeric_environment, write_settings
 from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.context import RunContext
+from mast_zenoh.launch.processes import end_process
 from mast_zenoh.launch.supervisor import Child, how_ended
 from mast_zenoh.security.deployment import Deployment
 
@@ -154,11 +155,7 @@ class Container(Child):
     def close(self) -> None:
         """End the process that follows its output."""
         if self.follower is not None:
-            try:
-                self.follower.wait(_LOG_GRACE_S)
-            except subprocess.TimeoutExpired:
-                self.follower.kill()
-                self.follower.wait()
+            end_process(self.follower, _LOG_GRACE_S)
 
     def look(self) -> None:
         """Find out whether it has ended, if its output has."""

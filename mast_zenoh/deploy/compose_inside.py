@@ -20,34 +20,23 @@ from typing import IO, Any
 
 import zenoh
 
-from mast_zenoh import scenario
-from mast_zenoh.config.resolved import NodeSpec, Resolved, driver_of
+from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control import control_prefix, flow, prefix
 from mast_zenoh.control.key_marks import control_mark
 from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.deploy import documents
 from mast_zenoh.deploy.compose import Compose
-from mast_zenoh.deploy.docker import TAG
 from mast_zenoh.deploy.engine import join, write_settings
 from mast_zenoh.errors import BackendError, EngineError
-from mast_zenoh.launch.context import Mesh, RunContext
+from mast_zenoh.launch.context import Mesh, RunContext, deployment_of
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.runtime.mesh import hosting
 from mast_zenoh.runtime.mesh.hosting import UP
+from mast_zenoh.runtime.mesh.session import direct
 from mast_zenoh.security.credentials import Credentials
-from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.wiring.model import Wiring
 
 #: How long nodes and router stay after the launcher has gone, s; its container has ended by then.
 PATIENCE_S = 3.0
-
-#: Scenario and security level of each file in deploy/compose/.
-EXAMPLES = {
-    "baseline": ("baseline", "open"),
-    "uncoordinated": ("uncoordinated", "acl"),
-    "coordinated": ("coordinated", "acl"),
-    "partition": ("attack_during_partition", "open"),
-}
 
 _ACTIONS = ("kill", "leave", "start")  # process steps that nodes carry out themselves
 _LOCK = "lock"  # next to the launcher's credentials: locked as long as its process lives
@@ -55,15 +44,6 @@ _LAUNCHER_S = 600.0  # for the launcher to come
 _ROUTER_S = 60.0  # for the router to come up
 _UP_S = 120.0  # for a node to come up
 _KILL_S = 30.0  # for a killed node to leave the mesh
-
-
-def example(name: str) -> str:
-    """The text of a file in deploy/compose/, as `mast deploy write` writes it."""
-    scenario_name, secure = EXAMPLES[name]
-    path, loaded = scenario.load(scenario_name)
-    resolved = scenario.resolve(path, loaded, record=True)
-    launcher = documents.Launcher(scenario_name, sources="../..")
-    return documents.compose_text(resolved, name, image=TAG, secure=secure, patience_s=PATIENCE_S, launcher=launcher)
 
 
 def check_steps(resolved: Resolved) -> None:
@@ -84,21 +64,11 @@ def make_credentials(resolved: Resolved, run: str, secure: str, folder: Path) ->
 
     folder: has a folder for each service, a file system in memory that lasts as long as a container uses it
     """
-    nodes = resolved.nodes
     with tempfile.TemporaryDirectory() as made:
-        deployment = Deployment(
-            secure,
-            run,
-            Wiring.from_json(resolved.wiring),
-            nodes,
-            prefix=prefix(run),
-            driver=driver_of(nodes),
-            hosts=[documents.ROUTER],
-            folder=Path(made),
-        )
+        deployment = deployment_of(resolved, run, secure, hosts=[documents.ROUTER], folder=Path(made))
         assert deployment.launcher is not None
         assert deployment.control is not None
-        for name in nodes:
+        for name in resolved.nodes:
             Credentials.read(Path(made) / name).write(folder / name)
     write_settings(folder / documents.ROUTER, deployment.router)
     own = folder / documents.LAUNCHER
@@ -227,8 +197,8 @@ class StartedNodes(Supervisor[StartedNode]):
         self._tell = tell
         self._logs = logs
         self._changed = threading.Condition()
-        handler: Any = zenoh.handlers.Callback(self._note, indirect=False)
-        self._subscriber = session.liveliness().declare_subscriber(f"{prefix(run)}/alive/*", handler, history=True)
+        alive, handler = f"{prefix(run)}/alive/*", direct(self._note)
+        self._subscriber = session.liveliness().declare_subscriber(alive, handler, history=True)
 
     def __enter__(self) -> StartedNodes:
         return self

@@ -17,7 +17,6 @@ from mast_zenoh.deploy import docker as engine
 from mast_zenoh.deploy.compose import command
 from mast_zenoh.errors import BackendError, EngineError
 from mast_zenoh.launch.netns import shaping
-from mast_zenoh.launch.netns.namespaces import Owner
 from mast_zenoh.runtime.mesh.session import open_router
 from mast_zenoh.security import explain
 
@@ -46,9 +45,8 @@ def examine(credentials: Path | None = None, endpoint: str | None = None) -> Ite
 
 def python() -> Diagnosis:
     """The versions of Python and of this package."""
-    return Diagnosis(
-        "python", sys.version_info >= (3, 11), f"{platform.python_version()}, mast-zenoh {release.version_string()}"
-    )
+    detail = f"{platform.python_version()}, mast-zenoh {release.version_string()}"
+    return Diagnosis("python", sys.version_info >= (3, 11), detail)
 
 
 def compiled_kernels() -> Diagnosis:
@@ -112,15 +110,14 @@ def _ssh() -> str:
 
 def _namespaces() -> str:
     wanted = {need: ["hosts"] for need in ("partition", "loss", "bandwidth", "delay")}
-    return f"yes, delays by {shaping.delays_by(wanted, Owner.this_process())}"
+    return f"yes, delays by {shaping.delays_by(wanted)}"
 
 
 def disk_space() -> Diagnosis:
     """The free disk space here."""
     free = shutil.disk_usage(Path.cwd()).free
-    return Diagnosis(
-        "disk", free > 1 << 28, f"{free >> 30} GiB free in {Path.cwd()}", "" if free > 1 << 28 else "make room"
-    )
+    enough = free > 1 << 28
+    return Diagnosis("disk", enough, f"{free >> 30} GiB free in {Path.cwd()}", "" if enough else "make room")
 
 
 CHECKS: list[Callable[[], Diagnosis]] = [

@@ -21,7 +21,7 @@ from typing import Any
 import yaml
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from mast_zenoh.config.resolved import NodeSpec, Resolved
+from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy.docker import BASE, USER, launcher_tag
 from mast_zenoh.deploy.engine import CREDENTIALS, NUMERIC_VARIABLES, ROUTER_SETTINGS
 from mast_zenoh.errors import ConfigurationError
@@ -196,11 +196,7 @@ def is_mobile(resolved: Resolved, name: str) -> bool:
     """Whether a node is a mobile agent, or an interposer on the wires of one."""
     spec = resolved.nodes[name]
     agents = [resolved.nodes[agent] for agent in spec.agents if agent in resolved.nodes]
-    return any(map(_is_mobile_agent, [spec, *agents]))
-
-
-def _is_mobile_agent(spec: NodeSpec) -> bool:
-    return spec.role == "agent" and bool(spec.config.get("mobile"))
+    return any(each.role == "agent" and each.config.get("mobile") for each in [spec, *agents])
 
 
 def longest_disconnection_s(resolved: Resolved, name: str) -> float:

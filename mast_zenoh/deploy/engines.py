@@ -82,9 +82,7 @@ def options(kind: type[Engine], words: Sequence[str]) -> dict[str, Any]:
     """An engine's parameters from `--option KEY=VALUE`; raises ConfigurationError."""
     takes = inspect.signature(kind, eval_str=True).parameters
     for word in words:
-        key, equals, _ = word.partition("=")
-        if not equals:
-            raise ConfigurationError(f"--option {word}: expected KEY=VALUE")
+        key, _ = settings.key_and_value(word, "--option")
         if key.partition(".")[0] not in takes:
             raise ConfigurationError(f"--option {word}: engine {kind.name} has no such parameter{nearest(key, takes)}")
     values = settings.nested(words)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import zenoh
 from rich.markup import escape
 
-from mast_zenoh.config.resolved import driver_of
+from mast_zenoh.config.resolved import Resolved, driver_of
 from mast_zenoh.control import prefix
 from mast_zenoh.control.codec import InvalidMessages
 from mast_zenoh.control.signatures import Signatures
@@ -89,18 +89,8 @@ class RunContext(RunState):
 
         hosts: names and addresses of the router; folder: see Deployment
         """
-        nodes = self.resolved.nodes
-        return Deployment(
-            self.secure,
-            self.run_id,
-            Wiring.from_json(self.resolved.wiring),
-            nodes,
-            prefix=prefix(self.run_id),
-            driver=driver_of(nodes),
-            hosts=hosts,
-            viewer=self.viewer,
-            folder=folder,
-        )
+        options: dict[str, Any] = {"viewer": self.viewer, "folder": folder}
+        return deployment_of(self.resolved, self.run_id, self.secure, hosts=hosts, **options)
 
     def attach(self, mesh: Mesh) -> None:
         """Set the mesh that the launcher has joined; sign control messages from now on."""
@@ -115,3 +105,9 @@ class RunContext(RunState):
         """Show refusals since the last call; only for the main thread."""
         while not self._refusals.empty():
             self.show(f"[yellow]{escape(self._refusals.get())}")
+
+
+def deployment_of(resolved: Resolved, run: str, secure: str, **options: Any) -> Deployment:
+    """Create the credentials of all nodes of a run; options: see Deployment."""
+    wiring, nodes = Wiring.from_json(resolved.wiring), resolved.nodes
+    return Deployment(secure, run, wiring, nodes, prefix=prefix(run), driver=driver_of(nodes), **options)

@@ -10,7 +10,6 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
 
 from rich.console import Console
 from rich.live import Live
@@ -61,12 +60,10 @@ class Display:
             sys.setswitchinterval(_SWITCH_S)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._live:
             sys.setswitchinterval(self._switch_s)
-            self._live.__exit__(kind, error, trace)
+            self._live.__exit__(None, None, None)
 
     def say(self, line: str) -> None:
         """Print a permanent line, unbroken however long it is."""

@@ -7,7 +7,6 @@ files that its own parameters name.
 
 from __future__ import annotations
 
-import ast
 import json
 import queue
 import threading
@@ -16,6 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from mast_zenoh.control.key_marks import check_control_mark
 from mast_zenoh.errors import MastError, MessageError, VersionMismatch
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.runtime.file_client import files_written_by
+from mast_zenoh.runtime.mesh.session import direct
 from mast_zenoh.scenes.recording import Recording
 
 #: Requests of one node in the queue; it sends one at a time, and repeats it after five seconds.
@@ -61,8 +62,7 @@ class FileServer:
         self.fatal_error = ""  # the exception that ended its thread, if any
         self._contents: dict[str, dict[str, bytes | Path]] = {}
         self._requests: queue.SimpleQueue[tuple[zenoh.Query, Request, int] | None] = queue.SimpleQueue()
-        handler: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
-        base = control_prefix(context.run_id)
+        base, handler = control_prefix(context.run_id), direct(self._on_query)
         self._declared = [session.declare_queryable(f"{base}/{kind}/*", handler) for kind in ("fetch", "file")]
         self._thread = threading.Thread(target=self._run, name="file-server")
         self._thread.start()
@@ -207,19 +207,10 @@ def files_for_node(resolved: Resolved, node: str, folder: Path) -> Iterator[tupl
         return f"{relocated(file)}{colon}{function}" if file in resolved.modules else value
 
     sources = [spec.file, *resolved.modules]
-    node_scenario = replace(
-        resolved,
-        modules=tuple(relocated(file) for file in resolved.modules),
-        nodes={
-            name: replace(
-                node_spec,
-                file=relocated(node_spec.file) if name == node else "",
-                config=with_builders(node_spec.config),
-            )
-            for name, node_spec in resolved.nodes.items()
-        },
-    )
-    yield "scenario.json", json.dumps(node_scenario.to_json()).encode()
+    modules = tuple(relocated(file) for file in resolved.modules)
+    nodes = {name: replace(each, file="", config=with_builders(each.config)) for name, each in resolved.nodes.items()}
+    nodes[node] = replace(nodes[node], file=relocated(spec.file))
+    yield "scenario.json", json.dumps(replace(resolved, modules=modules, nodes=nodes).to_json()).encode()
     yield "wiring.json", json.dumps(resolved.wiring).encode()
     sent: set[Path] = set()
     for file in sources:
@@ -233,28 +224,8 @@ def files_for_node(resolved: Resolved, node: str, folder: Path) -> Iterator[tupl
 
 def with_local_imports(file: Path) -> set[Path]:
     """A Python file and, recursively, files and packages next to it that it imports."""
-    visited: set[Path] = set()
-    pending = [file]
-    while pending:
-        path = pending.pop()
-        if path in visited:
-            continue
-        visited.add(path)
-        for name in _imported(path):
-            module, package = file.parent / f"{name}.py", file.parent / name
-            if module.is_file():
-                pending.append(module)
-            elif (package / "__init__.py").is_file():
-                pending += package.rglob("*.py")
-    return visited
-
-
-def _imported(path: Path) -> set[str]:
-    """Top-level names of the modules that a file imports."""
-    names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_bytes())):
-        if isinstance(node, ast.Import):
-            names |= {alias.name.partition(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            names.add(node.module.partition(".")[0])
-    return names
+    finder = ModuleFinder([str(file.parent)])
+    finder.run_script(str(file))
+    local = [Path(name) for module in finder.modules.values() if (name := vars(module)["__file__"])]
+    packages = [path.parent for path in local if path.name == "__init__.py"]
+    return {file, *local, *(path for package in packages for path in package.rglob("*.py"))}

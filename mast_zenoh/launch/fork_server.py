@@ -20,7 +20,6 @@ import json
 import os
 import socket
 import sys
-from pathlib import Path
 from typing import Any
 
 gc.disable()  # what is imported stays: searching it for garbage delays the start, and copies shared memory
@@ -28,6 +27,7 @@ gc.disable()  # what is imported stays: searching it for garbage delays the star
 import numpy as np  # noqa: E402
 
 from mast_zenoh.config import bundle, loading  # noqa: E402
+from mast_zenoh.launch.process_stat import stat_of  # noqa: E402
 from mast_zenoh.runtime.mesh.hosting import main, wake_when_orphaned  # noqa: E402
 
 #: Most bytes of a request.
@@ -87,7 +87,7 @@ def _become_node(request: dict[str, Any], descriptors: list[int]) -> None:
 
 def _rename(command: list[str]) -> None:
     """Write a command where the system reads that of this process (proc(5): /proc/pid/stat, arg_start and arg_end)."""
-    fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
+    fields = stat_of("self")
     start, end = int(fields[45]), int(fields[46])
     words = b"\0".join(map(os.fsencode, command))[: end - start - 1]
     ctypes.memmove(start, words.ljust(end - start, b"\0"), end - start)

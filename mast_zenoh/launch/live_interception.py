@@ -44,7 +44,7 @@ from mast_zenoh.launch import liveness
 from mast_zenoh.launch.launcher_protocol import Interceptions, LauncherActions
 from mast_zenoh.node import Node
 from mast_zenoh.run_folder import check_plain, read_json
-from mast_zenoh.runtime.mesh.session import open_client
+from mast_zenoh.runtime.mesh.session import direct, open_client
 from mast_zenoh.scenario.nodes import add_surroundings, node_spec
 from mast_zenoh.scenario.resolution import modules_of
 from mast_zenoh.scenes.recording import Recording
@@ -82,11 +82,9 @@ class InterceptionServer:
         self._secret_file = folder / SECRET_FILE
         self._secret_file.touch(mode=0o600)
         self._secret_file.write_bytes(self._secret)
-        on_query: Any = zenoh.handlers.Callback(self._on_query, indirect=False)
-        presence: Any = zenoh.handlers.Callback(self._note_presence, indirect=False)
         self._declared: list[Any] = [
-            session.declare_queryable(f"{base}/@control/intercept", on_query),
-            session.liveliness().declare_subscriber(f"{base}/alive/*", presence, history=True),
+            session.declare_queryable(f"{base}/@control/intercept", direct(self._on_query)),
+            session.liveliness().declare_subscriber(f"{base}/alive/*", direct(self._note_presence), history=True),
         ]
 
     def close(self) -> None:
@@ -183,7 +181,11 @@ def plan(
     wires = {candidate.key: candidate for candidate in wiring.wires}
     if wire not in wires:
         raise WiringError(f"no wire {wire!r}{nearest(wire, wires)}")
-    unread = _load_modules(resolved)
+    unread: UntrustedCode | None = None
+    try:
+        resolved.load_modules()
+    except UntrustedCode as error:  # the new node may not need what is not trusted
+        unread = error
     path, config = node_of(file, nested(settings))
     target = wires[wire]
     cls = loading.node_class(path, config.get("type"))
@@ -205,18 +207,11 @@ def plan(
             raise
         raise ConfigurationError(f"{error}; {unread}") from None
     subject = str(spec.config.get("agent", agent_of(target.subject)))
-    place = replace(_place(cls, path, name, target, subject, wiring, resolved, input, output), before=before)
+    published, where = target.legs[0].publisher.port, (f"{path}: {cls.__name__}", f"the wire {target.key!r}")
+    ports = ports_of(cls, target.message, published, input, output, *where)
+    place = replace(_place(cls, name, target, subject, resolved, ports), before=before)
     insert(wiring, name, place)
     return name, spec, place
-
-
-def _load_modules(resolved: Resolved) -> UntrustedCode | None:
-    """Load what the run's nodes load; returns the error if it is not trusted: the new node may not need it."""
-    try:
-        resolved.load_modules()
-    except UntrustedCode as error:
-        return error
-    return None
 
 
 def node_of(text: str, config: dict[str, Any]) -> tuple[Path, dict[str, Any]]:
@@ -244,15 +239,7 @@ def node_of(text: str, config: dict[str, Any]) -> tuple[Path, dict[str, Any]]:
 
 
 def _place(
-    cls: type[Node],
-    path: Path,
-    name: str,
-    target: Wire,
-    subject: str,
-    wiring: Wiring,
-    resolved: Resolved,
-    input: str | None,
-    output: str | None,
+    cls: type[Node], name: str, target: Wire, subject: str, resolved: Resolved, ports: tuple[str, str]
 ) -> InsertionPoint:
     """The node's ports on the wire, its other inputs, and the wires that it publishes itself.
 
@@ -261,24 +248,19 @@ def _place(
     map has for its role are connected in any case. The node publishes the wires that the testbed's map has for its role
     (such as an adversary's report).
     """
-    place, wire = f"{path}: {cls.__name__}", f"the wire {target.key!r}"
-    published = target.legs[0].publisher.port
-    input_port, output_port = ports_of(cls, target.message, published, input, output, place, wire)
+    wires, (input_port, output_port) = Wiring.from_json(resolved.wiring).wires, ports
     other_inputs: dict[str, str] = {}
     usual = _usual_inputs(cls)
     for port, message in cls.inputs.items():
         forwarded = message in cls.outputs.values() and port not in usual
         if port == input_port or forwarded or port in cls.listening:
             continue
-        keys = [w.key for w in wiring.wires if w.message == message and w.subject in ("", subject)]
+        keys = [w.key for w in wires if w.message == message and w.subject in ("", subject)]
         if len(keys) == 1 and keys[0] != target.key:
             other_inputs[keys[0]] = port
-    existing = {wire.key for wire in wiring.wires}
-    published_wires = tuple(
-        wire
-        for wire in _own_wires(cls, name, resolved)
-        if wire.key not in existing and wire.legs[0].publisher.port != output_port
-    )
+    existing = {wire.key for wire in wires}
+    own = (wire for wire in _own_wires(cls, name, resolved) if wire.key not in existing)
+    published_wires = tuple(wire for wire in own if wire.legs[0].publisher.port != output_port)
     return InsertionPoint(target.key, input_port, output_port, other_inputs, published_wires)
 
 

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mast_zenoh.errors import RunFolderError, UntrustedCode
 from mast_zenoh.launch.ending import KILLED, RUNNING
+from mast_zenoh.launch.process_stat import stat_of
 
 if TYPE_CHECKING:
     from mast_zenoh.config.allowed_code import AllowedCode
@@ -89,30 +90,23 @@ def finished_record(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
 
 def _began(pid: int) -> str | None:
     """When a process began; None if there is none, or it is a zombie."""
-    try:
-        # The name, in parentheses, may itself contain spaces and parentheses.
-        fields = Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
-    except OSError:
-        return None
-    return None if fields[0] in "ZX" else fields[19]
+    fields = stat_of(pid)
+    return None if not fields or fields[0] in "ZX" else fields[19]
 
 
 @cache
 def _here() -> dict[str, str]:
-    def first_line(path: str) -> str:
+    def known(read: Callable[[str], str], path: str) -> str:
         try:
-            return Path(path).read_text("utf-8").strip()
+            return read(path)
         except OSError:
             return ""
 
-    def link(path: str) -> str:
-        try:
-            return os.readlink(path)
-        except OSError:
-            return ""
+    def content(path: str) -> str:
+        return Path(path).read_text("utf-8").strip()
 
     return {
-        "machine": f"{socket.gethostname()} {first_line('/etc/machine-id')}".strip(),
-        "boot": first_line("/proc/sys/kernel/random/boot_id"),
-        "pid_namespace": link("/proc/self/ns/pid"),
+        "machine": f"{socket.gethostname()} {known(content, '/etc/machine-id')}".strip(),
+        "boot": known(content, "/proc/sys/kernel/random/boot_id"),
+        "pid_namespace": known(os.readlink, "/proc/self/ns/pid"),
     }

@@ -46,7 +46,8 @@ class RunLogs:
         self._logs: dict[str, _Log] = {}
         if not (folder / "logs").is_dir() and not (folder / "run.json").is_file():
             raise RunFolderError(f"{folder}: has no logs and no run.json: expected the folder of a run")
-        known = {path.stem for path in self._paths()} | self._nodes()
+        nodes = self._record().get("nodes")
+        known = {path.stem for path in self._paths()} | (set(nodes) if isinstance(nodes, dict) else set())
         if node is not None and node not in known:
             raise RunFolderError(f"{folder}: has no node {node!r}{nearest(node, known)}")
 
@@ -86,10 +87,6 @@ class RunLogs:
 
     def _record(self) -> dict[str, object]:
         return json_or_empty(self._folder / "run.json")
-
-    def _nodes(self) -> set[str]:
-        nodes = self._record().get("nodes")
-        return set(nodes) if isinstance(nodes, dict) else set()
 
 
 class _Log:

@@ -31,6 +31,7 @@ from mast_zenoh.launch.netns.hosts import Hosts
 from mast_zenoh.launch.observation import Observation
 from mast_zenoh.launch.reports import Reports
 from mast_zenoh.launch.table_files import TableFiles
+from mast_zenoh.runtime.mesh.session import direct
 from mast_zenoh.runtime.protocol.traffic import stamp_of
 from mast_zenoh.wiring.model import Wiring
 
@@ -99,11 +100,11 @@ class MeshLauncher(LauncherActions):
         self._protocol = LauncherProtocol(context, mesh.supervisor, self)
         base = prefix(context.run_id)
         interceptions = InterceptionServer(context.folder, base, session, self._protocol.interceptions, self)
-        callback: Any = zenoh.handlers.Callback
+        on_describe: Any = zenoh.handlers.Callback(self._on_describe, indirect=True)
         declared: list[Any] = [
-            session.declare_subscriber(f"{base}/clock", callback(self._on_clock, indirect=False)),
-            session.declare_subscriber(f"{self._control}/act", callback(self._on_act, indirect=False)),
-            session.declare_queryable(f"{base}/{DESCRIBE}", callback(self._on_describe, indirect=True)),
+            session.declare_subscriber(f"{base}/clock", direct(self._on_clock)),
+            session.declare_subscriber(f"{self._control}/act", direct(self._on_act)),
+            session.declare_queryable(f"{base}/{DESCRIBE}", on_describe),
         ]
         if file_server is not None:
             declared.append(session.liveliness().declare_token(f"{self._control}/launcher"))
@@ -274,9 +275,8 @@ class MeshLauncher(LauncherActions):
         def finish() -> None:
             answered(next((reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None), None))
 
-        handler: Any = zenoh.handlers.Callback(replies.append, finish, indirect=False)
         options: Any = {"attachment": control_mark("rewire"), "timeout": DRIVER_TIMEOUT_S}
-        self._session.get(f"{self._control}/rewire", handler, payload=payload, **options)
+        self._session.get(f"{self._control}/rewire", direct(replies.append, finish), payload=payload, **options)
 
     def answer(self, query: zenoh.Query, payload: bytes) -> None:
         query.reply(query.key_expr, payload)

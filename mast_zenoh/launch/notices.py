@@ -184,8 +184,7 @@ def _dropped(name: str, collations: Sequence[Mapping[str, Any]]) -> tuple[int, s
 def _left_out(left_out: Mapping[str, int]) -> tuple[int, str]:
     """(count, text) of the tracks that input limits left out."""
     agents = [f"{agent}: {count}" for agent, count in left_out.items() if count]
-    more = f" and {len(agents) - _MAX_KEYS} more" if len(agents) > _MAX_KEYS else ""
-    text = f"tracks not fused, as too many were sent by {', '.join(agents[:_MAX_KEYS])}{more}: see input_limit"
+    text = f"tracks not fused, as too many were sent by {first_three(agents)}: see input_limit"
     return sum(left_out.values()), text
 
 
@@ -232,10 +231,8 @@ def _foreign(nodes: Sequence[Mapping[str, Any]]) -> tuple[int, str]:
     by_key: Counter[str] = Counter()
     for node in nodes:
         by_key |= Counter(node.get("foreign") or {})
-    keys = sorted(by_key)
-    more = f" and {len(keys) - _MAX_KEYS} more" if len(keys) > _MAX_KEYS else ""
-    where = f"{', '.join(keys[:_MAX_KEYS])}{more}"
-    return by_key.total(), f"{number(by_key.total(), 'message')} without the mark of this run's nodes, on {where}"
+    found = number(by_key.total(), "message")
+    return by_key.total(), f"{found} without the mark of this run's nodes, on {first_three(sorted(by_key))}"
 
 
 def _control(record: Mapping[str, Any]) -> tuple[int, str]:
@@ -317,6 +314,11 @@ def _longest_wait_ms(resolved: Resolved) -> float:
     config = next((spec.config for spec in resolved.nodes.values() if spec.role == "broker"), {})
     wait_frames = max(config.get("patience", 0) + 1, config.get("latency_s", 0.0) * 1e9 / resolved.period_ns + 1)
     return float(wait_frames + 1) * resolved.period_ns * 1e-6 / resolved.rate
+
+
+def first_three(names: Sequence[str]) -> str:
+    """The first three names, and how many more there are."""
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def number(count: int, noun: str) -> str:

@@ -29,6 +29,7 @@ from mast_zenoh.metrics import Record, Scorer, Series
 from mast_zenoh.metrics.estimates import PICTURE_RECEIVED
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.runtime.host import Outgoing
+from mast_zenoh.runtime.mesh.session import direct
 from mast_zenoh.runtime.protocol.traffic import MISDIRECTED, stamp_of
 from mast_zenoh.wiring.model import TAP, Wiring
 
@@ -314,7 +315,7 @@ class MeshScores:
 def _timed(queue: deque[tuple[int, zenoh.Sample]]) -> Any:
     """A handler that only notes each message with the time of its arrival, ns."""
     now: Callable[[], int] = time.monotonic_ns
-    return zenoh.handlers.Callback(lambda sample: queue.append((now(), sample)), indirect=False)
+    return direct(lambda sample: queue.append((now(), sample)))
 
 
 def _taken(subscriber: Any) -> list[zenoh.Sample]:

@@ -21,7 +21,7 @@ from typing import IO, Any
 
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import StartError
-from mast_zenoh.launch.processor_time import processor_time_s
+from mast_zenoh.launch.process_stat import processor_time_s
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.runtime.strays import RUN, end_strays
 
@@ -39,6 +39,15 @@ def can_fork_nodes() -> bool:
     except (AttributeError, OSError):  # another system, or a container that forbids it
         return False
     return signal.getsignal(signal.SIGCHLD) != signal.SIG_IGN  # which would lose their exit codes
+
+
+def end_process(process: subprocess.Popen[bytes], seconds: float) -> None:
+    """Wait for the end of a process; kill it after some seconds."""
+    try:
+        process.wait(seconds)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 class ForkServer:
@@ -85,11 +94,7 @@ class ForkServer:
         """End the server."""
         with self._lock:
             self._socket.close()
-        try:
-            self._process.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end_process(self._process, _END_S)
 
 
 class Forked:

@@ -24,6 +24,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.launch.launcher_protocol import Report
 from mast_zenoh.launch.supervisor import Child
 from mast_zenoh.launch.table_files import TableFiles
+from mast_zenoh.runtime.mesh.session import direct
 
 #: Reports of one node in the queue. An honest node sends results, and parts of tables, one at a time; a part that is
 #: not answered in time again.
@@ -62,12 +63,9 @@ class Reports:
         self._queue: queue.SimpleQueue[tuple[str, str, Any]] = queue.SimpleQueue()
         self._waiting: Counter[tuple[str, str]] = Counter()
         self._lock = threading.Lock()
-        direct = zenoh.handlers.Callback
-        result: Any = direct(self._on_result, indirect=False)
-        failed: Any = direct(self._on_failed, indirect=False)
         self._declared: list[Any] = [
-            session.declare_queryable(f"{control}/result/*", result),
-            session.declare_subscriber(f"{control}/failed/*", failed),
+            session.declare_queryable(f"{control}/result/*", direct(self._on_result)),
+            session.declare_subscriber(f"{control}/failed/*", direct(self._on_failed)),
         ]
 
     def close(self) -> None:

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from mast_zenoh import version
 from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
-from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved
+from mast_zenoh.config.resolved import RECORDING, Resolved
 from mast_zenoh.errors import HandlerFailed, MastError, NotComparable, UntrustedCode
 from mast_zenoh.launch import run
 from mast_zenoh.run_folder import json_or_empty, write_json
@@ -99,16 +99,12 @@ def _read(run_folder: Path, allowed: AllowedCode) -> Resolved:
     try:
         resolved = Resolved.read(run_folder, allowed)
         recording = Recording.load(run_folder / RECORDING)
-
-        def with_scene(spec: NodeSpec) -> NodeSpec:
-            config = {key: recording if value == RECORDING else value for key, value in spec.config.items()}
-            log = (
-                {"log": MessageLog()} if spec.role == "recorder" else {}
-            )  # in the twin's folder, whatever is written here
-            return replace(spec, config=config | log)
-
-        nodes = {name: with_scene(spec) for name, spec in resolved.nodes.items()}
-        twin = unattacked(replace(resolved, nodes=nodes, recording=recording))
+        for spec in resolved.nodes.values():
+            if spec.role == "recorder":  # in the twin's folder, whatever is written here
+                spec.config["log"] = MessageLog()
+        twin = unattacked(
+            replace(resolved.with_values(lambda value: recording if value == RECORDING else value), recording=recording)
+        )
     except UntrustedCode:
         raise
     except (OSError, ValueError, KeyError, TypeError, AttributeError, MastError) as error:

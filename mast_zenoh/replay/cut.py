@@ -196,13 +196,10 @@ def _fitted_wires(wiring: Wiring, classes: Mapping[str, type[Node]]) -> Iterator
                     f"{branch.subscriber.node}: has no input port {branch.subscriber.port!r}, expected one: in the "
                     f"recorded run, {branch.entrance.node} is before it on {wire.key!r}"
                 )
-        legs = tuple(_with_known_ports(leg, wire, classes) for leg in wire.legs)
+        known = [tuple(end for end in leg.subscribers if _is_input(end, wire, classes)) for leg in wire.legs]
+        legs = tuple(replace(leg, subscribers=ends) for leg, ends in zip(wire.legs, known, strict=True))
         listeners = tuple(listener for listener in wire.listeners if _is_input(listener.end, wire, classes))
         yield replace(wire, legs=legs, listeners=listeners)
-
-
-def _with_known_ports(leg: Leg, wire: Wire, classes: Mapping[str, type[Node]]) -> Leg:
-    return replace(leg, subscribers=tuple(end for end in leg.subscribers if _is_input(end, wire, classes)))
 
 
 def _is_input(end: Endpoint, wire: Wire, classes: Mapping[str, type[Node]]) -> bool:

@@ -12,7 +12,7 @@ from typing import Any
 from mast_zenoh import scenario
 from mast_zenoh.config import loading, registry
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.config.settings import ALIASES, KEYS, literal, set_dotted
+from mast_zenoh.config.settings import ALIASES, KEYS, key_and_value, literal, set_dotted
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.run_folder.recording.writer import FILE, MessageLog
 from mast_zenoh.scenario.nodes import node_spec
@@ -62,10 +62,7 @@ def live_nodes(recorded: Resolved, live: Collection[str], file: str | None, sett
         modules = tuple(dict.fromkeys([*modules, *modules_of(path, loaded, load_builders(content, path))]))
     else:
         for setting in settings:
-            key, equals, value = setting.partition("=")
-            if not equals:
-                raise ConfigurationError(f"--set {setting}: expected KEY=VALUE")
-            _set(content, key, value, specs, recorded)
+            _set(content, *key_and_value(setting), specs, recorded)
     named = {name for name, spec in specs.items() if file is not None and (name in _OF_FILE or spec.role == "agent")}
     nodes = {
         name: _changed(path, name, spec, _part(content, name, spec.role), defaults=name not in named)

@@ -16,13 +16,14 @@ from mast_zenoh.errors import ConfigurationError, MastError
 from mast_zenoh.evaluation.driver_wires import driver_ports
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.measurement import recorded_wirings, scenario_of
+from mast_zenoh.launch.notices import first_three
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
 from mast_zenoh.replay.cut import Place, ReplayedMesh, cut
 from mast_zenoh.replay.cut import fitted as fit
 from mast_zenoh.replay.live import Live, live_nodes
-from mast_zenoh.replay.scripts import first_three, of_run, read_scripts
+from mast_zenoh.replay.scripts import of_run, read_scripts
 from mast_zenoh.run_folder import json_or_empty
 from mast_zenoh.run_folder.recording.reader import file_of
 from mast_zenoh.run_folder.recording.script import Script

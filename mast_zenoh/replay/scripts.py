@@ -14,7 +14,7 @@ from mast_zenoh.config import plugins
 from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.launch.ending import RUNNING
-from mast_zenoh.launch.notices import number, of_recording
+from mast_zenoh.launch.notices import first_three, number, of_recording
 from mast_zenoh.links import WIRES, type_number
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
@@ -124,11 +124,6 @@ def read_scripts(
         foreign = number(messages.outsiders, "message")
         notices.append(f"{foreign} without the mark of the run's nodes are not played: outsiders sent them")
     return Scripts(scripts, n_frames, notices)
-
-
-def first_three(names: list[str]) -> str:
-    """The first three names, and how many more there are."""
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _whole_frames(folder: Path, messages: Messages, whole: bool) -> int:

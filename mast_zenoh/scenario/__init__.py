@@ -22,14 +22,5 @@ from mast_zenoh.scenario.reading import (
 )
 from mast_zenoh.scenario.resolution import resolve
 
-__all__ = [
-    "MODES",
-    "RUN_DEFAULTS",
-    "agents_of",
-    "checked_name",
-    "choose_scene",
-    "load",
-    "load_values",
-    "resolve",
-    "victims_of",
-]
+__all__ = ["MODES", "RUN_DEFAULTS", "agents_of", "checked_name", "choose_scene", "load", "load_values", "resolve"]
+__all__ += ["victims_of"]

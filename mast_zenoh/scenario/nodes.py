@@ -85,7 +85,7 @@ def nodes_of(
     if scenario.get("channel") is not None:
         add("channel", "channel", scenario["channel"])
     for name, config in _checked_configs(scenario.get("adversaries", {}), f"{path}: adversaries"):
-        if names_none(config.get("agent")):
+        if config.get("agent") in ([], ()):  # attacks nobody
             continue
         add(name, "adversary", config)
         if len(specs[name].agents) > 1 and scenario.get("coordinator") is not None:
@@ -143,11 +143,6 @@ def _check_names(names: object, known: Sequence[str], place: str, kind: str) -> 
     for name in names if isinstance(names, (list, tuple)) else ():
         if name not in known:
             raise ConfigurationError(f"{place}: no {kind} is called {name!r}{nearest(str(name), known)}")
-
-
-def names_none(names: object) -> bool:
-    """Whether this is a list of names without any: whatever it belongs to then acts on nothing."""
-    return isinstance(names, (list, tuple)) and not names
 
 
 def _peers(patterns: Mapping[str, Any], agents: Iterable[str], place: str) -> Iterator[tuple[str, Mapping[str, Any]]]:

@@ -14,7 +14,7 @@ import pytest
 
 from mast_zenoh.errors import BackendError
 from mast_zenoh.launch.netns import shaping
-from mast_zenoh.launch.netns.namespaces import Namespace, Owner
+from mast_zenoh.launch.netns.namespaces import Namespace, own_prefix
 
 NAMES = ("alpha", "beta", "gamma")
 LAUNCHER = "10.78.0.1"
@@ -26,7 +26,7 @@ def require() -> None:
     """Skip without namespaces or an SSH server; fail if MAST_TEST_NETWORK is set."""
     reason = "" if Path(SSHD).exists() else f"{SSHD} is missing: install openssh-server"
     try:
-        shaping.delays_by({"partition": ["this test"]}, Owner.this_process())
+        shaping.delays_by({"partition": ["this test"]})
     except BackendError as error:
         reason = str(error)
     if reason:
@@ -56,9 +56,9 @@ class SshHosts:
             self.full.mkdir()  # hosts see mounts made before they start
             subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(self.full)], check=True)
             stack.callback(subprocess.run, ["umount", str(self.full)], check=True)
-            owner = Owner.this_process()
+            prefix = own_prefix()
             for name in ("launcher", *NAMES):
-                self.spaces[name] = Namespace.make(owner.name(name))
+                self.spaces[name] = Namespace.make(prefix + name)
                 stack.callback(self.spaces[name].remove)
             self.inside = self.spaces["launcher"].command()
             self.spaces["launcher"].ip("address", "add", f"{LAUNCHER}/32", "dev", "lo")

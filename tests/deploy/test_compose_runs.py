@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from compose_examples import EXAMPLES
 from containers import built, mast, remnants_of
 from equal_runs import assert_equal, run_alone
 from launched import MAST, Launched, eventually
 
 from mast_zenoh.deploy.compose import command
-from mast_zenoh.deploy.compose_inside import EXAMPLES
 from mast_zenoh.deploy.docker import docker
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runtime.mesh.hosting import UP

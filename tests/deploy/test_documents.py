@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
+from compose_examples import EXAMPLES, example
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -17,7 +18,7 @@ from mast_zenoh import scenario
 from mast_zenoh.cli.app import app
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy import documents
-from mast_zenoh.deploy.compose_inside import EXAMPLES, check_steps, example
+from mast_zenoh.deploy.compose_inside import check_steps
 from mast_zenoh.deploy.documents import on_one_line
 from mast_zenoh.deploy.engine import NUMERIC_VARIABLES
 from mast_zenoh.errors import BackendError, ConfigurationError

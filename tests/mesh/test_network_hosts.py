@@ -19,7 +19,7 @@ from mast_zenoh.faults import network
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.netns import shaping
 from mast_zenoh.launch.netns.hosts import CENTRE, Hosts
-from mast_zenoh.launch.netns.namespaces import NAMESPACES, Owner, sweep
+from mast_zenoh.launch.netns.namespaces import NAMESPACES, own_prefix, sweep
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
@@ -136,7 +136,7 @@ def test_remnants_of_a_killed_launcher_are_removed_at_the_next_start(tmp_path: P
     require()
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
-    leftover, own = f"mast-{ended.pid}-1-0-centre", Owner.this_process().name("centre")
+    leftover, own = f"mast-{ended.pid}-1-0-centre", f"{own_prefix()}centre"
     reused_pid = f"mast-{os.getpid()}-1-0-centre"  # a reused pid: this process was not started at tick 1
     foreign = f"not-mast-{ended.pid}"
     for name in (leftover, own, reused_pid, foreign):
@@ -155,7 +155,7 @@ def test_remnants_of_a_killed_launcher_are_removed_at_the_next_start(tmp_path: P
 def missing_capability(need: str) -> str | None:
     """Why this machine lacks a capability; None if it has it."""
     try:
-        shaping.delays_by({need: ["west"]}, Owner.this_process())
+        shaping.delays_by({need: ["west"]})
     except BackendError as error:
         return str(error)
     return None

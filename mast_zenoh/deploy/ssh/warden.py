@@ -40,7 +40,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh.launch.processor_time import processor_time_s
+from mast_zenoh.launch.process_stat import processor_time_s, stat_of
 
 NOT_THERE = 7  #: exit code of a client if no warden answers
 
@@ -75,11 +75,8 @@ class NodeProcess:
 
     @property
     def is_stopped(self) -> bool:
-        """Whether a signal has stopped it (proc(5), field 3 of stat)."""
-        try:
-            return Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
-        except OSError:
-            return False
+        """Whether a signal has stopped it."""
+        return stat_of(self.process.pid)[:1] == ["T"]
 
     def state(self) -> dict[str, Any]:
         """Its state, in the form for the launcher."""

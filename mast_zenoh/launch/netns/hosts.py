@@ -12,20 +12,21 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from subprocess import CalledProcessError
-from types import TracebackType
 from typing import Any
 
 from mast_zenoh.errors import BackendError
 from mast_zenoh.faults import network
 from mast_zenoh.faults.network import LinkState
 from mast_zenoh.launch.netns import relay, shaping
-from mast_zenoh.launch.netns.namespaces import Namespace, Owner, sweep
+from mast_zenoh.launch.netns.namespaces import Namespace, own_prefix, sweep
+from mast_zenoh.launch.processes import end_process
 
 CENTRE = "10.77.0.1"
 _INSIDE = f"tcp/{CENTRE}:7447"
@@ -65,17 +66,15 @@ class Hosts:
         try:
             self._set_up()
         except (CalledProcessError, OSError) as error:
-            self.__exit__(None, None, None)
+            self.__exit__()
             self._fail("hosts", error)
             raise BackendError(str(self._failure)) from None
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._healed.set()
         self._first_frame.set()
         if self._player.is_alive():
@@ -110,21 +109,21 @@ class Hosts:
 
     def _set_up(self) -> None:
         sweep()
-        owner = Owner.this_process()
-        delays_by = shaping.delays_by(network.needs(self.spec), owner)
-        self._centre = self._namespace(owner.name("centre"))
+        prefix, delays_by = own_prefix(), shaping.delays_by(network.needs(self.spec))
+        self._centre = self._namespace(f"{prefix}centre")
         self._centre.ip("address", "add", f"{CENTRE}/32", "dev", "lo")
         for number, (name, host) in enumerate(self.spec["hosts"].items(), 1):
-            namespace = self._namespace(owner.name(str(number)))
+            namespace = self._namespace(f"{prefix}{number}")
             delayed_by = (host["delay_by"] or delays_by) if host["delayed"] else None
             link = _HostLink(self._centre, namespace, f"host{number}", delayed_by)
             if delayed_by == "relay":
                 link.relay = self._process(f"relay_{name}", "relay", link.ends())
             else:
-                link.make_devices()
+                peer = "peer", "name", _DEVICE, "netns", namespace.name
+                self._centre.ip("link", "add", link.device, "type", "veth", *peer)
             link.address(f"10.77.0.{1 + number}")
             self._links[name] = link
-        folder = owner.folder()
+        folder = tempfile.mkdtemp(prefix=prefix)  # short: so are the paths of sockets
         self._resources.callback(shutil.rmtree, folder, ignore_errors=True)
         self.endpoint = f"unixsock-stream/{folder}/router.sock"
         self._process("router", "router", [_INSIDE, self.endpoint], self._centre.command())
@@ -202,10 +201,6 @@ class _HostLink:
         """Namespace and device of both ends."""
         return [self.centre.name, self.device, self.host.name, _DEVICE]
 
-    def make_devices(self) -> None:
-        """Create a pair of Ethernet devices, each in its namespace."""
-        self.centre.ip("link", "add", self.device, "type", "veth", "peer", "name", _DEVICE, "netns", self.host.name)
-
     def address(self, address: str) -> None:
         """Assign addresses to both ends, with routes only to each other."""
         for namespace, device, own, peer in (
@@ -277,9 +272,5 @@ class _Process:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.close()
-        try:
-            self._process.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end_process(self._process, _END_S)
         self._process.stdout.close()

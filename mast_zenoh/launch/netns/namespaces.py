@@ -12,8 +12,9 @@ import re
 import shutil
 import subprocess
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
+
+from mast_zenoh.launch.process_stat import stat_of
 
 NAMESPACES = Path("/run/netns")
 
@@ -21,25 +22,10 @@ _NAME = re.compile(r"mast-(?P<pid>\d+)-(?P<started>\d+)-\d+-.*")
 _COUNTER = itertools.count()
 
 
-@dataclass(frozen=True, slots=True)
-class Owner:
-    """The owner of a set of namespaces: a process and one of its runs."""
-
-    prefix: str
-
-    @classmethod
-    def this_process(cls) -> Owner:
-        """A new owner with unique names."""
-        pid = os.getpid()
-        return cls(f"mast-{pid}-{_started(pid)}-{next(_COUNTER)}-")
-
-    def name(self, which: str) -> str:
-        """A name for a namespace of this owner."""
-        return self.prefix + which
-
-    def folder(self) -> Path:
-        """Create a folder for sockets, whose paths must be short."""
-        return Path(tempfile.mkdtemp(prefix=self.prefix))
+def own_prefix() -> str:
+    """Begins the names of a set of namespaces of this process; a new one at each call."""
+    pid = os.getpid()
+    return f"mast-{pid}-{_started(pid)}-{next(_COUNTER)}-"
 
 
 class Namespace:
@@ -83,18 +69,15 @@ class Namespace:
 def sweep() -> list[str]:
     """Remove namespaces and folders of killed launchers; return their names."""
     parents = NAMESPACES, Path(tempfile.gettempdir())
-    paths = [(path.name, path) for parent in parents for path in parent.glob("mast-*")]
-    stale = [(name, path) for name, path in paths if (match := _NAME.fullmatch(name)) and not _is_alive(match)]
-    for name, path in stale:
+    paths = [path for parent in parents for path in parent.glob("mast-*")]
+    owned = [(path, match) for path in paths if (match := _NAME.fullmatch(path.name))]
+    stale = [path for path, match in owned if _started(int(match["pid"])) != int(match["started"])]
+    for path in stale:
         if path.parent == NAMESPACES:
-            Namespace(name).remove()
+            Namespace(path.name).remove()
         else:
             shutil.rmtree(path, ignore_errors=True)
-    return [name for name, _ in stale]
-
-
-def _is_alive(match: re.Match[str]) -> bool:
-    return _started(int(match["pid"])) == int(match["started"])
+    return [path.name for path in stale]
 
 
 def _started(pid: int) -> int:
@@ -102,11 +85,8 @@ def _started(pid: int) -> int:
 
     Field 22 of stat, see proc(5). It identifies a process, since process ids are reused.
     """
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
-    except OSError:
-        return -1
-    return int(stat.rpartition(")")[2].split()[19])
+    fields = stat_of(pid)
+    return int(fields[19]) if fields else -1
 
 
 def _run(command: list[str], stdin: str | None = None) -> None:

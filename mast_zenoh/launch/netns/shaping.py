@@ -11,7 +11,7 @@ from subprocess import CalledProcessError
 
 from mast_zenoh.errors import BackendError
 from mast_zenoh.faults.network import LinkState
-from mast_zenoh.launch.netns.namespaces import Namespace, Owner
+from mast_zenoh.launch.netns.namespaces import Namespace, own_prefix
 
 #: Resolution of a loss.
 _PARTS = 1_000_000
@@ -67,7 +67,7 @@ def netem(device: str, state: LinkState) -> list[str]:
 _TUN = "/dev/net/tun"
 
 
-def delays_by(required: Mapping[str, Iterable[str]], owner: Owner) -> str:
+def delays_by(required: Mapping[str, Iterable[str]]) -> str:
     """How packets are delayed here by default: "netem" or "relay".
 
     required: the effects that the run needs and their hosts, from `faults.network.needs`
@@ -77,7 +77,7 @@ def delays_by(required: Mapping[str, Iterable[str]], owner: Owner) -> str:
     if not shutil.which("ip"):
         raise BackendError(f"{_description(required)}: no program `ip` on this machine: install iproute2")
     try:
-        probe = Namespace.make(owner.name("probe"))
+        probe = Namespace.make(f"{own_prefix()}probe")
     except CalledProcessError as error:
         output = error.stderr.strip()
         raise BackendError(

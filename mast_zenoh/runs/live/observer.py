@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import zenoh
 
@@ -15,6 +15,7 @@ from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.live.address import LiveAddress
 from mast_zenoh.runs.live.measurement import FrameMeter, seen
 from mast_zenoh.runs.live.reception import KEPT, ArrivedMessage, Reception, WireMeter, WireState
+from mast_zenoh.runtime.mesh.session import direct
 from mast_zenoh.wiring.model import Wiring
 
 #: Most frames a second that are measured.
@@ -103,16 +104,11 @@ class Observer:
         self._presence: dict[str, bool] = {}
         self._epoch_began = threading.Event()
         self._ask_wiring_until = self._ask_wiring_at = 0.0
-        direct: Callable[..., Any] = zenoh.handlers.Callback
         self._declared = [
-            session.liveliness().declare_subscriber(
-                f"{self._base}/alive/*", direct(self._on_alive, indirect=False), history=True
-            )
+            session.liveliness().declare_subscriber(f"{self._base}/alive/*", direct(self._on_alive), history=True)
         ]
         if address.credentials is None:  # wires of a secure run cannot change
-            self._declared.append(
-                session.declare_subscriber(f"{self._base}/@control/epoch", direct(self._on_epoch, indirect=False))
-            )
+            self._declared.append(session.declare_subscriber(f"{self._base}/@control/epoch", direct(self._on_epoch)))
         # After the subscription: a change between the two would be missed.
         self.wiring = Wiring.from_json(address.resolved.wiring)
         if (current := address.current_wiring(session)) is not None:

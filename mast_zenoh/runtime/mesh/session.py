@@ -11,7 +11,7 @@ import socket
 import stat
 import sys
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import zenoh
@@ -159,6 +159,11 @@ def own_sockets(ports: Collection[int]) -> Iterator[socket.socket]:
             with socket.socket(fileno=os.dup(int(name))) as own:
                 if own.family != socket.AF_UNIX and own.getsockname()[1] in ports:
                     yield own
+
+
+def direct(call: Callable[..., object], ended: Callable[[], object] | None = None) -> Any:
+    """A handler of Zenoh that calls in Zenoh's own threads. ended: called after the last time"""
+    return zenoh.handlers.Callback(call, ended, indirect=False)
 
 
 def open_client(
