@@ -8,6 +8,7 @@ from kept_texts import assert_kept, visible
 from parsed_page import Page
 from rich.console import Console
 from run_samples import edit
+from table_writing import write_table
 from test_report_achievement import ACHIEVED, DRIVES, NOT_HIDDEN, targets
 from test_report_confidence import confident
 from test_report_fault_tables import ATTACK, CHECKS, KILL, PARTITION, faulted
@@ -15,7 +16,6 @@ from test_report_trust import doubted, judged
 
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.terminal import show_run
-from mast_zenoh.run_folder.tables import write_table
 
 KILLED = {"role": "agent", "pid": 77, "exit": -9, "ended": "killed by signal 9", "restarts": 2}
 KILLED |= {"last_frame": 21, "rejected": {"agent/infra_2/pose: truncated": 3}, "foreign": {}, "failures": []}
