@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
 from mast_zenoh.arrays.states import Floats
@@ -113,7 +113,7 @@ class StudyRow:
     """One configuration.
 
     label: of the configuration; run: label of its run in the study file; point: grid parameters, name to value
-    ego:   name of the agent whose estimates are scored
+    ego:   name of the agent whose estimates are scored;  own: what users' metrics are, `own_metrics` of metrics.json
     """
 
     label: str
@@ -121,6 +121,7 @@ class StudyRow:
     point: Mapping[str, object]
     estimates: Mapping[StudySeries, Statistic]
     ego: str = "ego"
+    own: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def title(self) -> str:

@@ -10,8 +10,8 @@ Values are arrays (..., scenes, seeds), one value per trial, none missing; leadi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from scipy.special import betaincinv, stdtr, stdtrit
 
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.metrics import CAUSES
-from mast_zenoh.metrics.measures import MEASURES
+from mast_zenoh.metrics.measures import MEASURES, range_of
 from mast_zenoh.metrics.study_results import (
     BINOMIAL,
     MIN_SEEDS,
@@ -231,8 +231,10 @@ def trial_estimate(
     return estimate._replace(low=NAN, high=NAN, scenes_low=NAN, scenes_high=NAN)
 
 
-def value_range(series: StudySeries) -> tuple[float, float]:
+def value_range(series: StudySeries, own: Mapping[str, Mapping[str, Any]] | None = None) -> tuple[float, float]:
     """(smallest, largest) possible value of a series; infinite where unknown.
+
+    own: `own_metrics` of metrics.json
 
     Counts, lengths and times are at least 0, shares are 0 to 1, differences can have either sign.
     """
@@ -248,5 +250,7 @@ def value_range(series: StudySeries) -> tuple[float, float]:
         return 0.0, 1.0 if share else math.inf
     if metric in MEASURES:
         return MEASURES[metric].range
+    if own and metric in own:
+        return range_of(own[metric])
     is_cause_count = metric.partition(" ")[2] in CAUSES
     return (0.0 if metric.startswith(_SPLITS) or is_cause_count else -math.inf), math.inf

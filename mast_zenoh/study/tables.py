@@ -169,11 +169,13 @@ class Samples:
         self._seed = {seed: index for index, seed in enumerate(seeds)}
         self._cells: dict[str, dict[StudySeries, Floats]] = {each.label: {} for each in study.configurations}
         self._rates: set[StudySeries] = set()
+        self._own: dict[str, Any] = {}  # users' metrics, `own_metrics` of metrics.json
         self._ego = ""
 
     def add(self, outcome: TrialOutcome, trial_numbers: Iterable[Number]) -> None:
         """Add the numbers of a trial, `results.values`."""
         self._ego = agent = self._ego or ego(outcome.metrics)
+        self._own |= outcome.metrics.get("own_metrics", {})
         trial = outcome.trial
         cell = self._scene[trial.scene], self._seed[trial.seed]
         cells = self._cells[trial.configuration]
@@ -197,16 +199,19 @@ class Samples:
                 run=configuration.run,
                 point=dict(configuration.point),
                 estimates={
-                    series: _estimate(series, *cell, rate=series in self._rates)
+                    series: _estimate(series, *cell, rate=series in self._rates, own=self._own)
                     for series, cell in self._cells[configuration.label].items()
                 },
                 ego=self._ego or "ego",
+                own=self._own,
             )
             for configuration in self._study.configurations
         ]
 
 
-def _estimate(series: StudySeries, values: Floats, stds: Floats, frames: Floats, *, rate: bool) -> Statistic:
+def _estimate(
+    series: StudySeries, values: Floats, stds: Floats, frames: Floats, *, rate: bool, own: Mapping[str, Any]
+) -> Statistic:
     """The estimate of a series from arrays (scenes, seeds).
 
     NaN where a trial has no value.
@@ -217,7 +222,7 @@ def _estimate(series: StudySeries, values: Floats, stds: Floats, frames: Floats,
     pooled = ~np.isnan(values) & ~np.isnan(stds) & (frames > 0)
     over_frames = [statistics.Moments(*each) for each in zip(frames[pooled], values[pooled], stds[pooled], strict=True)]
     mean, std = statistics.pooled_moments(over_frames)
-    bounds = statistics.value_range(series)
+    bounds = statistics.value_range(series, own)
     estimate = statistics.trial_estimate(values, bounds, rate=rate, paired=series.metric.endswith("_iob"))
     return estimate._replace(mean=mean if over_frames else estimate.value, std=std)
 

@@ -94,6 +94,11 @@ def test_differences_that_are_mostly_zero_have_the_exact_interval_of_their_share
     assert scenes.zero_share == pytest.approx(2 / 3), "counted by trial: no seed's average over the scenes is 0"
 
 
+def test_columns_of_a_users_metric_name_its_unit() -> None:
+    described = replace(ROWS[1], own={"my_metric": {"unit": "objects"}})
+    assert "my_metric (objects)" in study.as_markdown([BASELINE, described], facts([BASELINE, described]))
+
+
 @pytest.mark.parametrize(
     ("numbers", "text"),
     [

@@ -39,6 +39,7 @@ def outcome(
     achieved: dict[str, Any] | None = None,
     driving: dict[str, Any] | None = None,
     driven: dict[str, Any] | None = None,
+    own_metrics: dict[str, Any] | None = None,
 ) -> TrialOutcome:
     """A trial of one agent with `fp` false objects in every frame.
 
@@ -65,6 +66,7 @@ def outcome(
         "achieved": achieved or {},
         "driving": driving or {},
         "driven": driven or {},
+        "own_metrics": own_metrics or {},
         "latency_ms": {"sim_to_picture": {"p50": 3.0}},
     }
     return TrialOutcome(trial(configuration, scene, seed), metrics, per_frame)

@@ -162,6 +162,18 @@ def test_intervals_are_clipped_to_possible_values_except_differences() -> None:
     assert row.get("fp_ioe").low < 0.0
 
 
+def test_intervals_of_a_users_metric_are_clipped_to_the_range_of_its_class() -> None:
+    described = {"my_metric": {"unit": "objects", "range": [0.0, None]}}
+    trials = [
+        outcome(label, 0, seed, fp=1.0, agents={"mission": {"my_metric": value}}, own_metrics=described)
+        for label in ("baseline", "attacked")
+        for seed, value in enumerate([0.0, 0.0, 0.0, 0.0, 0.0, 0.6])
+    ]
+    row = summary(trials, seeds=6, scenes=1)["attacked"]
+    assert row.get("my_metric", "mission").low == 0.0
+    assert row.own == described
+
+
 def test_critical_share_counts_trials_without_a_collision_course() -> None:
     """Five of six trials become critical, yet the mean of the times would rise."""
     done = []

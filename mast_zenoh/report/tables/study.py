@@ -147,11 +147,13 @@ def _others(rows: Sequence[StudyRow]) -> TextTable:
         if each.owner == rows[0].ego and (each.estimator, each.metric) not in table_series and " " not in each.metric
     ]
 
+    units = _units(rows)
+
     def cells(each: StudySeries) -> list[str]:
         return [_over_trials(row.estimates.get(each, Statistic())) for row in rows]
 
     lines = [
-        [f"{each.estimator} {each.metric}", *cells(each)]
+        [f"{each.estimator} {each.metric}{units.get(each.metric, '')}", *cells(each)]
         for each in series
         if not (
             each.metric.endswith("_iob") and all(row.estimates[each].unchanged for row in rows if each in row.estimates)
@@ -353,7 +355,13 @@ def _of_users(rows: Sequence[StudyRow], scores: Sequence[StudyColumn]) -> list[S
         if (series.owner, series.estimator) == (row.ego, estimator) and series.metric.isidentifier() and not each.rate
     ]
     own = [name for name in dict.fromkeys(names) if name not in known and not name.endswith("_iob")]
-    return [StudyColumn(name, name, estimator) for name in own]
+    units = _units(rows)
+    return [StudyColumn(f"{name}{units.get(name, '')}", name, estimator) for name in own]
+
+
+def _units(rows: Sequence[StudyRow]) -> dict[str, str]:
+    """What follows the names of users' metrics: ` (objects)`."""
+    return {name: f" ({about['unit']})" for row in rows for name, about in row.own.items() if about.get("unit")}
 
 
 def _short(heading: str) -> str:
