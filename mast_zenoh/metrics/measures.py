@@ -349,12 +349,13 @@ class StoredMetric(Quantity):
 
 
 def described(metrics: Sequence[Metric]) -> dict[str, dict[str, Any]]:
-    """What readers of metrics.json need to show users' metrics: heading, unit, digits, whole and range by name.
+    """What readers of metrics.json need to show users' metrics by name: heading, unit, digits, whole, range and `per`.
 
     Bounds that are infinite are None.
     """
     return {
         each.label: {
+            "per": each.per,
             "heading": each.heading,
             "unit": each.unit,
             "digits": each.digits,
@@ -384,7 +385,7 @@ def metric_named(key: str, own: Mapping[str, Mapping[str, Any]]) -> Quantity:
     return MEASURES.get(key) or StoredMetric(key, own.get(key, {}))
 
 
-class Metric(Quantity):
+class Metric(Quantity, ABC):
     """Base class of user-defined metrics; subclass FrameMetric, RunMetric or MessageMetric instead.
 
     The class is in a scenario's file or in a file next to it, and named in the scenario:
@@ -395,6 +396,11 @@ class Metric(Quantity):
     digits: decimals in tables;  whole: whether its values are whole numbers
     range:  smallest and largest possible value, which bound the intervals of studies
     """
+
+    @property
+    @abstractmethod
+    def per(self) -> str:
+        """What has a value: "frame", "run" or "message"."""
 
 
 class InvalidMetricValue(ValueError):
@@ -410,6 +416,8 @@ class FrameMetric(Metric, Measure):
 
     Its mean and standard deviation are over the scored frames.
     """
+
+    per = "frame"
 
     @abstractmethod
     def per_frame(self, estimate: Estimate) -> Floats:
@@ -443,6 +451,8 @@ def _describe(returned: object) -> str:
 class RunMetric(Metric, Measure):
     """A metric with one value for the whole run."""
 
+    per = "run"
+
     @abstractmethod
     def per_run(self, estimate: Estimate) -> float | None:
         """The value over the scored frames; None or a number that is not finite: undefined."""
@@ -460,7 +470,7 @@ class RunMetric(Metric, Measure):
         return None if value is None or not math.isfinite(value) else float(value)
 
 
-class MessageMetric(Metric, ABC):
+class MessageMetric(Metric):
     """A metric of the messages of one type, on every wire that carries them, as they are sent.
 
     message: their type
@@ -469,6 +479,7 @@ class MessageMetric(Metric, ABC):
     """
 
     message: ClassVar[str] = ""
+    per = "message"
 
     @abstractmethod
     def per_message(self, frame: int, subject: str, body: Mapping[str, NDArray[Any]]) -> float | None:

@@ -305,7 +305,7 @@ def test_links_adversaries_and_metrics_act_on_a_message_type_of_the_users_own() 
 
 def test_estimates_and_metrics_of_ones_own_are_in_the_tables_with_their_units() -> None:
     run = played("offers.py")
-    described = {"heading": "", "unit": "EUR", "digits": 2, "whole": False, "range": [0.0, None]}
+    described = {"per": "message", "heading": "", "unit": "EUR", "digits": 2, "whole": False, "range": [0.0, None]}
     assert run.summary["own_metrics"] == {"price": described}
     lines = [line.cells for line in message_table(Run(run.path)).lines]
     assert lines == [
