@@ -7,7 +7,6 @@ import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from mast_zenoh import kernels, version
 from mast_zenoh.config import bundle
@@ -38,8 +37,15 @@ def docker(*words: str, timeout: float = _TIMEOUT_S, check: bool = True) -> str:
 def run(command: Sequence[str], *, timeout: float = _TIMEOUT_S, check: bool = True) -> str:
     """Run a command in its own session, so that Ctrl-C does not interrupt it."""
     try:
-        options: dict[str, Any] = {"capture_output": True, "text": True, "stdin": subprocess.DEVNULL}
-        done = subprocess.run(command, timeout=timeout, check=False, start_new_session=True, **options)
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
+            start_new_session=True,
+            stdin=subprocess.DEVNULL,
+        )
     except FileNotFoundError:
         raise EngineError(f"there is no `{command[0]}` on this machine: install docker.io and docker-compose") from None
     except subprocess.TimeoutExpired:
@@ -47,7 +53,7 @@ def run(command: Sequence[str], *, timeout: float = _TIMEOUT_S, check: bool = Tr
     if done.returncode and check:
         lines = [line for line in done.stderr.splitlines() if line.strip() and not line.startswith(_NO_REASON)]
         raise EngineError(f"`{' '.join(command[:3])}` failed: {lines[-1] if lines else f'exit code {done.returncode}'}")
-    return str(done.stdout)
+    return done.stdout
 
 
 def check() -> str:

@@ -89,8 +89,7 @@ class RunContext(RunState):
 
         hosts: names and addresses of the router; folder: see Deployment
         """
-        options: dict[str, Any] = {"viewer": self.viewer, "folder": folder}
-        return deployment_of(self.resolved, self.run_id, self.secure, hosts=hosts, **options)
+        return deployment_of(self.resolved, self.run_id, self.secure, hosts=hosts, viewer=self.viewer, folder=folder)
 
     def attach(self, mesh: Mesh) -> None:
         """Set the mesh that the launcher has joined; sign control messages from now on."""

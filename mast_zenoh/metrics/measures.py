@@ -330,16 +330,21 @@ COLUMNS = (
 )
 
 
+#: Decimals of a double.
+_MOST_DIGITS = 17
+
+
 class StoredMetric(Quantity):
     """A user's metric of which the values are known, and what `described` says about it.
 
-    key: its name;  about: of metrics.json, by the names of attributes; empty for a run of before 0.1
+    key: its name;  about: of metrics.json, by the names of attributes; empty: nothing is known
     """
 
     def __init__(self, key: str, about: Mapping[str, Any]) -> None:
         self.key = key
         self.unit = str(about.get("unit", ""))
-        self.digits, self.whole = int(about.get("digits", self.digits)), bool(about.get("whole", self.whole))
+        self.digits = min(max(about.get("digits", self.digits), 0), _MOST_DIGITS)  # also of a received folder
+        self.whole = about.get("whole", self.whole)
         self.range = range_of(about)
         self.heading = str(about.get("heading", "")) or key.replace("_", " ") + (f" ({self.unit})" * bool(self.unit))
 

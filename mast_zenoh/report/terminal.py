@@ -16,7 +16,7 @@ from mast_zenoh.report.findings.cars import of_cars
 from mast_zenoh.report.findings.defence import of_pictures, periods
 from mast_zenoh.report.findings.results import status, unsound
 from mast_zenoh.report.findings.words import defence_line, said, text
-from mast_zenoh.report.tables.of_run import causes_as_rich, check_lines, messages_as_rich, nees_as_rich
+from mast_zenoh.report.tables.of_run import causes_as_rich, check_lines, nees_as_rich, own_messages
 from mast_zenoh.report.tables.scores import as_rich, score_table
 from mast_zenoh.runs.run import Run
 
@@ -71,8 +71,8 @@ def show_loaded(console: Console, run: Run, reference: Reference | None = None) 
     metrics = {label: each.files.summary for label, each in runs.items()}
     table = score_table(metrics, agent=run.ego or "ego", reference=reference.name if reference else None)
     console.print(as_rich(table))
-    if (messages := messages_as_rich(run)) is not None:
-        console.print(messages)
+    if (messages := own_messages(run)).lines:
+        console.print(messages.as_rich())
     _show_causes(console, {run.name: run}, run.ego or "ego")
     _show_lines(console, "", run, reference)
     for warning in said(run, unsound(reference), capitals=False):

@@ -59,6 +59,10 @@ SHAPES: dict[str, Any] = {
         "same_as": {ANY: {ANY: str}},
         "scored_frames": [int],
         **{name: {ANY: {}} for name in ("latency_ms", "interposers", "achieved")},
+        "messages": {ANY: {ANY: {"mean": NUMBER, "std": NUMBER}}},
+        "own_metrics": {
+            ANY: {"per": str, "heading": str, "unit": str, "digits": int, "whole": bool, "range": [NUMBER]}
+        },
     },
     "study.json": {"name": str},
 }

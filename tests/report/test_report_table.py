@@ -9,9 +9,11 @@ import pytest
 from rich.console import Console
 
 from mast_zenoh.metrics.estimates import MAIN
+from mast_zenoh.metrics.measures import metric_named
 from mast_zenoh.report import as_markdown, as_rich
 from mast_zenoh.report.tables.scores import ScoreTable, score_table
 from mast_zenoh.report.terminal import show
+from mast_zenoh.run_folder.shapes import check_file
 
 Counts = tuple[float, float, float]
 
@@ -95,6 +97,19 @@ def test_the_picture_in_transit_has_a_column_if_something_changed_it() -> None:
     forged = shown({"fp": {"mean": 5.25, "std": 0.5}}, picture_received="picture_on_arrival")
     assert forged.estimates == ("local", "picture", "picture_received", "mission")
     assert forged.cell("fp", "run", "picture_received").value.mean == 5.25
+
+
+def test_estimates_of_a_users_own_wires_come_last_by_name() -> None:
+    own = {name: scores((1.0, 0.0, 2.0)) for name in ("zebra", "intents", "hopes")}
+    assert score_table({"run": metrics((1.2, 0.25, 12.0), **own)}).estimates == (*MAIN, "hopes", "intents", "zebra")
+
+
+def test_what_a_received_folder_says_of_a_metric_is_checked() -> None:
+    check_file({"own_metrics": {"price": {"digits": 3, "range": [0.0, None]}}}, "metrics.json")
+    with pytest.raises(ValueError, match=r"own_metrics\.price\.digits: found 'many'"):
+        check_file({"own_metrics": {"price": {"digits": "many"}}}, "metrics.json")
+    known = metric_named("price", {"price": {"digits": 10**9, "unit": "EUR"}})
+    assert (known.heading, known.digits) == ("price (EUR)", 17)
 
 
 def test_markdown_has_a_line_per_metric_and_run_which_no_label_can_break() -> None:

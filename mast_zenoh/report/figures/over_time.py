@@ -101,6 +101,11 @@ class _LineStyle(NamedTuple):
 _ALONE = _LineStyle(LOCAL, (0, (1, 1)))
 
 
+def _look(index: int, width: float = 1.9) -> _LineStyle:
+    """The style of one of several lines."""
+    return _LineStyle(RUN_COLOURS[index % len(RUN_COLOURS)], _STYLES[index % len(_STYLES)], width)
+
+
 def _lines(runs: Mapping[str, Run], estimate: str) -> list[tuple[str, Run, Table, _LineStyle]]:
     """Name, run, counts and style of each line."""
     first = next(iter(runs.values()))
@@ -108,14 +113,12 @@ def _lines(runs: Mapping[str, Run], estimate: str) -> list[tuple[str, Run, Table
     if len(runs) == 1:
         names = [name for name in shown_estimates([first.files.summary], first.ego or "") if name not in OWN]
         for index, name in enumerate(names):
-            line_style = _LineStyle(
-                RUN_COLOURS[index % len(RUN_COLOURS)], _STYLES[index % len(_STYLES)], 2.4 if name == "picture" else 1.6
+            lines.append(
+                (column_name(name), first, first.counts_of(name), _look(index, 2.4 if name == "picture" else 1.6))
             )
-            lines.append((column_name(name), first, first.counts_of(name), line_style))
     else:
         for index, (label, run) in enumerate(runs.items()):
-            line_style = _LineStyle(RUN_COLOURS[index % len(RUN_COLOURS)], _STYLES[index % len(_STYLES)])
-            lines.append((f"{column_name(estimate)}, {label}", run, run.counts_of(estimate), line_style))
+            lines.append((f"{column_name(estimate)}, {label}", run, run.counts_of(estimate), _look(index)))
     return [(name, run, counts, line_style) for name, run, counts, line_style in lines if counts is not None]
 
 

@@ -25,7 +25,7 @@ def said(run: Run, findings: Iterable[Finding], *, capitals: bool = True) -> lis
     """
     texts: list[str] = []
     for each in findings:
-        phrase = _phrases().get(each.kind.replace(" ", "_"))
+        phrase = _macros("phrases.j2").get(each.kind.replace(" ", "_"))
         if phrase is None or not (text := " ".join(phrase(each, run, partial(place, run, each)).split())):
             continue
         plain = not capitals or text.startswith(each.who) or (texts and texts[-1].endswith(":"))
@@ -76,7 +76,19 @@ def place(run: Run, finding: Finding) -> str:
 
 def of_study(phrase: str, **data: Any) -> list[str]:
     """The sentences of a macro of templates/study_phrases.j2; data: its arguments."""
-    shown: dict[str, Callable[..., str]] = {
+    sentences = _macros("study_phrases.j2")[phrase](**data).split("\u00b6")
+    return [" ".join(each.split()) for each in sentences if each.strip()]
+
+
+def paragraph(phrase: str, **data: Any) -> str:
+    """The same as one text."""
+    return " ".join(of_study(phrase, **data))
+
+
+#: What the macros of each template call.
+_FILTERS: dict[str, dict[str, Callable[..., str]]] = {
+    "phrases.j2": {"names": names, "number": number, "percent": whole_percent, "plural": plural},
+    "study_phrases.j2": {
         "names": names,
         "plural": plural,
         "number": text_table.number,
@@ -86,30 +98,18 @@ def of_study(phrase: str, **data: Any) -> list[str]:
         "over_trials": study_rows.over_trials,
         "value": study_rows.value,
         "bounds": study_rows.bounds,
-    }
-    sentences = _macros("study_phrases.j2", tuple(shown.items()))[phrase](**data).split("\u00b6")
-    return [" ".join(each.split()) for each in sentences if each.strip()]
-
-
-def paragraph(phrase: str, **data: Any) -> str:
-    """The same as one text."""
-    return " ".join(of_study(phrase, **data))
-
-
-def _phrases() -> dict[str, Callable[..., str]]:
-    """The phrases of runs."""
-    shown = {"names": names, "number": number, "percent": whole_percent, "plural": plural}
-    return _macros("phrases.j2", tuple(shown.items()))
+    },
+}
 
 
 @cache
-def _macros(template: str, filters: tuple[tuple[str, Callable[..., str]], ...]) -> dict[str, Callable[..., str]]:
+def _macros(template: str) -> dict[str, Callable[..., str]]:
     """The macros of a template by name."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(  # the text is not of a page: pages escape it
         loader=PackageLoader("mast_zenoh.report"), undefined=StrictUndefined, autoescape=False
     )
-    environment.filters |= dict(filters)
+    environment.filters |= _FILTERS[template]
     module: Any = environment.get_template(template).module
     return {name: getattr(module, name) for name in dir(module) if not name.startswith("_")}

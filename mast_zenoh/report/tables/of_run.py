@@ -14,7 +14,7 @@ from mast_zenoh.report.findings.causes import reaches
 from mast_zenoh.report.findings.finding import Finding
 from mast_zenoh.report.tables.pictures import exceeds
 from mast_zenoh.report.tables.scores import Value, number
-from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable
+from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable, TextTable
 from mast_zenoh.runs.events import doubts, suspensions
 from mast_zenoh.runs.interposers import hostile
 from mast_zenoh.runs.run import Run
@@ -82,20 +82,13 @@ def message_table(run: Run) -> PageTable:
     return PageTable(_MESSAGES, lines)
 
 
-def messages_as_rich(run: Run) -> Table | None:
-    """The same for the terminal, without the wires of agents but the ego; None: there are none."""
+def own_messages(run: Run) -> TextTable:
+    """The same for the terminal, without the wires of agents but the ego."""
     source, others = message_table(run), {*run.agents} - {run.ego}
     lines = [line.cells for line in source.lines if others.isdisjoint(line.cells[0].split("/"))]
-    if not lines:
-        return None
     left_out = f"; {len(source.lines) - len(lines)} of other agents are in the report"
     title = MESSAGES_TITLE + left_out * (len(lines) < len(source.lines))
-    table = Table(title=title, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for head in _MESSAGES:
-        table.add_column(head.text.replace("\n", " "), justify="left" if head.kind == "text" else "right")
-    for cells in lines:
-        table.add_row(*cells)
-    return table
+    return TextTable(title, "", [head.text for head in _MESSAGES], lines, 2)
 
 
 _NEES_QUANTITIES = {"position": "positions", "velocity": "velocities"}

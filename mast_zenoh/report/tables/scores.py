@@ -151,7 +151,7 @@ def shown_estimates(metrics: Iterable[Mapping[str, Any]], agent: str) -> tuple[s
         if same.get(PICTURE_RECEIVED) == PICTURE_ON_ARRIVAL:  # nothing was late: the cause is what was received
             own = own - {PICTURE_ON_ARRIVAL} | {PICTURE_RECEIVED}
         names |= own
-    return tuple(sorted(names, key=rank_of))  # those of wires of a user's own last
+    return tuple(sorted(sorted(names), key=rank_of))  # those of wires of a user's own last, by name
 
 
 def _value(scores: Mapping[str, Any], estimate: str, measure: Quantity) -> Value | None:

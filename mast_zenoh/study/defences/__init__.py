@@ -13,4 +13,44 @@
 See docs/defence_studies.md.
 """
 
-from mast_zenoh.study.defences.choices import *  # noqa: F403
+from mast_zenoh.study.defences.choices import (
+    COORDINATED,
+    PLACEMENTS,
+    UNCOORDINATED,
+    adversary_base,
+    faults_of,
+    has_budget,
+    junctions,
+    matrix_study,
+    measured_by,
+    parse_choices,
+    place,
+    resolve_choice,
+    scenes_of_kinds,
+    sensors_of,
+    several,
+    short_name,
+    with_preset,
+    words,
+)
+
+__all__ = [
+    "COORDINATED",
+    "PLACEMENTS",
+    "UNCOORDINATED",
+    "adversary_base",
+    "faults_of",
+    "has_budget",
+    "junctions",
+    "matrix_study",
+    "measured_by",
+    "parse_choices",
+    "place",
+    "resolve_choice",
+    "scenes_of_kinds",
+    "sensors_of",
+    "several",
+    "short_name",
+    "with_preset",
+    "words",
+]

@@ -190,16 +190,19 @@ def _point(of: dict[str, Any], shares: Mapping[float, Mapping[str, Floats]]) -> 
     measures = np.array([[each["broken"], 1.0 - each["honest_majority"]] for each in shares.values()])
     measures = measures[:, :, ~np.isnan(measures).all(axis=(0, 1))]
 
-    def crossings(trials: Ints) -> dict[str, float]:
-        point, bound = (mean_crossing([*shares], measures[:, at, trials]) for at in (0, 1))
-        return {"point": point, "bound": bound, "difference": math.nan if math.isinf(bound) else point - bound}
+    def broken(trials: Ints) -> float:
+        return mean_crossing([*shares], measures[:, 0, trials])
+
+    def bound(trials: Ints) -> float:
+        return mean_crossing([*shares], measures[:, 1, trials])
+
+    def difference(trials: Ints) -> float:
+        of_bound = bound(trials)
+        return math.nan if math.isinf(of_bound) else broken(trials) - of_bound
 
     count = measures.shape[2]
-    numbers = {
-        f"breakdown_{name}": pooled(lambda trials, name=name: crossings(trials)[name], count)  # type: ignore[misc]
-        for name in ("point", "bound", "difference")
-    }
-    return Row(of, count, numbers)
+    numbers = {"point": broken, "bound": bound, "difference": difference}
+    return Row(of, count, {f"breakdown_{name}": pooled(each, count) for name, each in numbers.items()})
 
 
 def _mean(values: Floats) -> float:
@@ -226,9 +229,11 @@ def crossing(x: ArrayLike, y: ArrayLike) -> float:
     if not len(at):
         raise ValueError("x: found no points, expected one or more")
     reached = share >= HALF - _ROUNDING
+    if not reached.any():
+        return math.inf
     after = int(reached.argmax())
-    if after == 0 or not reached.any():
-        return float(at[0]) if reached.any() else math.inf
+    if after == 0:
+        return float(at[0])
     return float(np.interp(HALF, share[after - 1 : after + 1], at[after - 1 : after + 1]))
 
 

@@ -21,13 +21,6 @@ from mast_zenoh.scenario import choose_scene, victims_of
 from mast_zenoh.scenario.reading import name_of_file
 from mast_zenoh.streams import stream
 
-#: What study files and scenarios import from `mast_zenoh.study.defences`.
-__all__ = [
-    *("COORDINATED", "PLACEMENTS", "UNCOORDINATED", "adversary_base", "faults_of", "has_budget"),
-    *("junctions", "matrix_study", "measured_by", "parse_choices", "place", "resolve_choice"),
-    *("scenes_of_kinds", "sensors_of", "several", "short_name", "with_preset", "words"),
-]
-
 #: The name of a class, FILE.py or FILE.py:CLASS; or a dict with one of these as `type`, and parameters.
 Choice = str | dict[str, Any]
 _EXPECTED = "expected a name, a file or a dict with `type`"

@@ -363,6 +363,10 @@ def _share(each: Statistic) -> str:
     return percent(each, " %")
 
 
+def _plain(each: Statistic) -> str:
+    return number(each.value)
+
+
 def _share_of_judged(row: Row) -> str:
     return _share(row["within"]) + (f" of {whole(row['judged'])}" if row["within"].known else "")
 
@@ -389,7 +393,7 @@ _OF_RUNS = {
     _WITHIN: shown("within", _share),
 }
 _FLOORS = {
-    "floor (s)": shown("floor_s", lambda each: number(each.value)),
+    "floor (s)": shown("floor_s", _plain),
     "delay / floor": shown("ratio"),
     _WITHIN: _share_of_judged,
 }
@@ -403,7 +407,7 @@ _OF_OBJECTS = {
 }
 _OF_DRIFTS = {
     "median offset (m)": shown("offset_reached_m"),
-    "at the floor (m)": shown("floor_m", lambda each: number(each.value)),
+    "at the floor (m)": shown("floor_m", _plain),
 }
 _BRIEF = {
     "detected": lambda row: f"{whole(row['detected'])} of {whole(row['episodes'])}",

@@ -280,11 +280,12 @@ def headline(table: Sequence[DrivingRow]) -> str:
         if row.harm("added", name) > 0.0:
             return _effect(row, name)
     for name in _HEADLINE:
-        harms = {row.harm("added", name): row for row in reversed(rows)}
-        if (worst := max((harm for harm in harms if harm > 0.0), default=0.0)) > 0.0:
+        harmful = [row for row in rows if row.harm("added", name) > 0.0]
+        if harmful:
+            worst = max(harmful, key=lambda row: row.harm("added", name))
             alone = "distinguishable alone, but not when all are read together"
-            seen = harms[worst][f"added {name}"].seen
-            return f"{_effect(harms[worst], name)}: {alone if seen else 'too few trials to tell'}"
+            seen = worst[f"added {name}"].seen
+            return f"{_effect(worst, name)}: {alone if seen else 'too few trials to tell'}"
     if any(row.flawed for row in rows):
         return next(iter(flaws(table)), "").removesuffix(".")
     if not rows:
