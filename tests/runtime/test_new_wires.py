@@ -303,6 +303,12 @@ def test_links_adversaries_and_metrics_act_on_a_message_type_of_the_users_own() 
     assert run.summary["messages"]["shop/south/offer"]["price"] == {"mean": None, "std": None}
 
 
+def test_of_changes_on_which_no_estimate_depends_the_report_says_just_that() -> None:
+    findings = {each.kind: each for each in played("offers.py").findings}
+    assert findings["limited"].cause == ("no estimate",)
+    assert not {"unattributed", "during"} & findings.keys()
+
+
 def test_estimates_and_metrics_of_ones_own_are_in_the_tables_with_their_units() -> None:
     run = played("offers.py")
     described = {"per": "message", "heading": "", "unit": "EUR", "digits": 2, "whole": False, "range": [0.0, None]}

@@ -9,7 +9,7 @@ from mast_zenoh.report.comparison import Reference, of_errors
 from mast_zenoh.report.findings import changes
 from mast_zenoh.report.findings.adversaries import period, positions
 from mast_zenoh.report.findings.cars import drives
-from mast_zenoh.report.findings.causes import causes
+from mast_zenoh.report.findings.causes import causes, matters
 from mast_zenoh.report.findings.changes import DISPLACED, ERRORS, FALSE, IDENTITY, MISSED, NOTHING, Change, scored
 from mast_zenoh.report.findings.differences import attacking_nodes, other_differences
 from mast_zenoh.report.findings.finding import Finding
@@ -104,7 +104,8 @@ def _used(run: Run, change: Change, over: Reference | None) -> list[Finding]:
 
 def _unchanged(run: Run, over: Reference | None, *, compared: bool) -> list[Finding]:
     """What is known if no score differs; compared: with another run, in which driven cars may go another way."""
-    active = tuple(each.name for each in interposers(run) if each.changed and not (over and each.is_link))
+    changed = [each for each in interposers(run) if each.changed]
+    active = tuple(each.name for each in changed if (not each.is_link if over else matters(run, each.name)))
     result = []
     if over is not None:
         estimates = [each.files.summary.get("agents", {}).get(run.ego or "", {}) for each in (run, over.run)]
@@ -155,7 +156,7 @@ def other_changes(run: Run, reference: Reference | None) -> list[Finding]:
 def during(run: Run, reference: Reference | None = None) -> list[Finding]:
     """The ego's score while adversaries change messages, of the kind of error that increased, or else that they cause.
 
-    Beside that of the reference in the same frames. None if no scored frame is attacked.
+    Beside that of the reference in the same frames. None if no scored frame is attacked, or no estimate depends on it.
     """
     change = changes.largest_change(run, of_errors(run, reference))
     done = {effect for each in hostile(run) for effect, number in (each.effects or {}).items() if number}
@@ -164,6 +165,8 @@ def during(run: Run, reference: Reference | None = None) -> list[Finding]:
         kind, estimate = change.kind, change.estimate
     value = score_during(run, run, kind, estimate)
     if value is None or run.attack_frames is None or run.manipulations is None:
+        return []
+    if not any(matters(run, each.name) for each in hostile(run) if each.changed):
         return []
     before = None if reference is None else score_during(reference.run, run, kind, estimate)
     attacked = int(scored(run, np.unique(run.manipulations["frame"])).sum())
