@@ -198,7 +198,7 @@ def _read_cpm(data: Sequence[bytes], plane: LocalPlane) -> _Reading:
         segment = (number, len(parts)) if len(parts) > 1 else None
         if message.segment != segment or _station(message) != _station(first):
             raise MessageError(f"cpm: segment {number}: found {message.segment}, expected {segment} of one message")
-    states = concatenate([from_cpm(message, plane)[0] for message in parts])
+    states = concatenate([from_cpm(message, plane) for message in parts])
     rotation = _STILL if first.vehicle is None else rotation_of(first.vehicle[0])
     n_objects = sum(0 if message.objects is None else len(message.objects) for message in parts)
     known = n_objects if first.known_objects is None else first.known_objects

@@ -2,11 +2,12 @@
 
 Messages:
 
-    asn1/          field tables of the standards, and their bytes
-    cpm, cam       messages as columns and integers, in the standard's units
-    perceived_objects, correlations    objects of a CPM as columns of integers, and the correlations of their components
-    reference_position                 reference positions, and the plane around an origin
-    tracks         tracks to CPM and back, in as many segments as a limit of bytes needs; a vehicle to CAM and back
+    asn1/                field tables of the standards, and their bytes
+    cpm, cam             messages as columns and integers, in the standard's units
+    perceived_objects    objects of a CPM as columns of integers
+    reference_position   reference positions, and the plane around an origin
+    tracks               tracks to CPM and back, in as many segments as a limit of bytes needs; a vehicle to CAM and
+                         back
 
 Sending:
 

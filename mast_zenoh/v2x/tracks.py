@@ -64,8 +64,6 @@ _NO_ANGLE, _NO_SPEED, _NO_LENGTH, _NO_SEMI_AXIS = 3600, 16_382, 1022, 4094
 _WIDE, _NO_WIDTH = 61, 62
 #: HeadingConfidence "out of range": the heading is not to be trusted.
 _UNTRUSTED_HEADING = 126
-#: Age that says "more than 1.5 s" (PerceivedObject).
-_LONGEST_AGE = 1500
 #: Largest number of segments (MessageSegmentationInfo).
 MOST_SEGMENTS = 8
 
@@ -145,30 +143,25 @@ def rotation_of(orientation: int) -> Floats:
     return np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
 
 
-def to_objects(
-    tracks: ObjectStates, wire_id: Ints, reference: Floats, delta_time: Ints | int = 0, age: Ints | None = None
-) -> PerceivedObjects:
-    """Tracks (n) as perceived objects.
+def to_objects(tracks: ObjectStates, wire_id: Ints, reference: Floats) -> PerceivedObjects:
+    """Tracks (n) at the reference time as perceived objects.
 
     wire_id: (n,) 0..65535, object ids, which the sender keeps for its tracks and reuses
     reference: (3,) m, the point of the quantised reference position
-    delta_time: ms from the reference time to that of the states;  age: (n,) ms since the first detection, if known
     """
     objects = PerceivedObjects.empty(len(tracks))
     variance = tracks.covariance.diagonal(axis1=1, axis2=2)
-    objects.id[:], objects.delta_time[:] = wire_id, delta_time
+    objects.id[:], objects.delta_time[:] = wire_id, 0
     objects.position[:] = np.clip(_units(tracks.position - reference, _POSITION), -131_072, 131_071)
     objects.position_confidence[:] = _confidence(variance[:, :3], _POSITION, _LARGEST_POSITION)
     objects.velocity_form[:] = CARTESIAN
     objects.velocity[:] = np.clip(_units(tracks.velocity, _VELOCITY), -16_383, 16_382)
     objects.velocity_confidence[:] = _confidence(variance[:, 6:], _VELOCITY, _LARGEST_VELOCITY)
-    objects.angles[:, 0] = _units(np.degrees(tracks.yaw) % 360.0, _ANGLE) % 3600
-    objects.angles_confidence[:, 0] = 127
+    objects.yaw[:] = _units(np.degrees(tracks.yaw) % 360.0, _ANGLE) % 3600
+    objects.yaw_confidence[:] = 127
     objects.dimensions[:] = np.clip(_units(tracks.size, _DIMENSION), 1, 255)
     objects.dimensions_confidence[:] = _confidence(variance[:, 3:6], _DIMENSION, _LARGEST_DIMENSION)
     objects.quality[:] = quality_of_score(tracks.score)
-    if age is not None:
-        objects.age[:] = np.clip(age, 0, _LONGEST_AGE)
     classes = np.empty((len(tracks), 5), np.int64)
     classes[:, 0], classes[:, 1:4], classes[:, 4] = np.arange(len(tracks)), _CLASS_CODES[tracks.class_id], 101
     return dataclasses.replace(objects, classes=classes)
@@ -190,8 +183,8 @@ def to_cpm(
     return Cpm(station_id, reference_time, position, objects, known, vehicle=vehicle, rsu=yaw is None)
 
 
-def from_cpm(message: Cpm, plane: LocalPlane) -> tuple[ObjectStates, Ints]:
-    """States (m) in the plane, and their times after the reference time, ms (m,).
+def from_cpm(message: Cpm, plane: LocalPlane) -> ObjectStates:
+    """States (m) in the plane.
 
     Objects whose x, y or time is out of range are left out, as their position is unknown. Ids are object ids. The
     covariance is diagonal. A z that is absent or out of range is that of the reference position; an absent yaw is the
@@ -199,7 +192,7 @@ def from_cpm(message: Cpm, plane: LocalPlane) -> tuple[ObjectStates, Ints]:
     """
     objects = message.objects
     if objects is None:
-        return ObjectStates.empty(), np.zeros(0, np.int64)
+        return ObjectStates.empty()
     horizontal = objects.position[:, :2]
     known_place = ((horizontal > -131_072) & (horizontal < 131_071)).all(axis=1)
     kept = np.flatnonzero(known_place & (objects.delta_time > _LEAST_DELTA) & (objects.delta_time < _MOST_DELTA))
@@ -210,8 +203,8 @@ def from_cpm(message: Cpm, plane: LocalPlane) -> tuple[ObjectStates, Ints]:
     position = np.where(known, _POSITION * (objects.position - 0.5), 0.0) + plane.to_point(message.position)
     velocity, velocity_variance = _velocity(objects)
     yaw = np.where(
-        (objects.angles[:, 0] >= 0) & (objects.angles[:, 0] < _NO_ANGLE),
-        np.radians(_ANGLE * (objects.angles[:, 0] - 0.5)),
+        (objects.yaw >= 0) & (objects.yaw < _NO_ANGLE),
+        np.radians(_ANGLE * (objects.yaw - 0.5)),
         np.arctan2(velocity[:, 1], velocity[:, 0]),
     )
     # 255 is out of range: a long vehicle, of at least that length.
@@ -224,7 +217,7 @@ def from_cpm(message: Cpm, plane: LocalPlane) -> tuple[ObjectStates, Ints]:
     diagonal[:, :3] = _variance(confidence, _POSITION, _LARGEST_POSITION, UNKNOWN_POSITION)
     diagonal[:, 3:6] = _variance(measured, _DIMENSION, _LARGEST_DIMENSION, UNKNOWN_DIMENSION)
     diagonal[:, 6:] = velocity_variance
-    states = ObjectStates.of(
+    return ObjectStates.of(
         position,
         id=objects.id.copy(),
         velocity=velocity,
@@ -234,7 +227,6 @@ def from_cpm(message: Cpm, plane: LocalPlane) -> tuple[ObjectStates, Ints]:
         score=np.where(objects.quality == ABSENT, 1.0, objects.quality / MAX_QUALITY),
         class_id=_class_ids(objects),
     )
-    return states, objects.delta_time.copy()
 
 
 def _velocity(objects: PerceivedObjects) -> tuple[Floats, Floats]:
@@ -362,7 +354,7 @@ def _height_confidence(position: Position) -> float:
 def segments(message: Cpm, max_bytes: int) -> list[Cpm]:
     """The message in as few parts of at most `max_bytes` as its order of objects allows, with MessageSegmentationInfo.
 
-    Each part has the containers of the station and the number of all objects; the first has the sensors.
+    Each part has the containers of the station and the number of all objects.
     """
     objects = message.objects
     if objects is None or len(cpm.encode(message)) <= max_bytes:
@@ -385,7 +377,6 @@ def segments(message: Cpm, max_bytes: int) -> list[Cpm]:
 
 
 def _part(message: Cpm, first: int, last: int) -> Cpm:
-    """The message with the objects first..last - 1, and with its sensors if these are the first ones."""
+    """The message with the objects first..last - 1."""
     assert message.objects is not None
-    sensors = message.sensors[:0] if first else message.sensors
-    return dataclasses.replace(message, objects=message.objects.take(np.arange(first, last)), sensors=sensors)
+    return dataclasses.replace(message, objects=message.objects.take(np.arange(first, last)))

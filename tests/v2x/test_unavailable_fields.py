@@ -128,15 +128,15 @@ def test_an_object_of_unknown_place_or_time_is_left_out_and_counted(unknown: dic
 
 
 def test_unavailable_fields_of_an_object_have_large_covariances() -> None:
-    unknown = perceived(velocity=16_383, dimensions=256, angles=[3601, -(1 << 31), -(1 << 31)])
-    states, _ = from_cpm(cpm.decode(cpm.encode(unknown)), PLANE)
+    unknown = perceived(velocity=16_383, dimensions=256, yaw=3601)
+    states = from_cpm(cpm.decode(cpm.encode(unknown)), PLANE)
     assert (states.velocity[1].tolist(), states.size[1].tolist(), states.yaw[1]) == ([0.0] * 3, [1.0] * 3, 0.0)
     np.testing.assert_allclose(half_widths(states.select(np.array([1])))[3:], [UNKNOWN_DIMENSION] * 3 + [20.0] * 3)
 
 
 def test_heights_are_unknown_in_a_message_without_an_altitude() -> None:
     message = perceived()
-    states, _ = from_cpm(replace(message, position=replace(message.position, altitude=800_001)), PLANE)
+    states = from_cpm(replace(message, position=replace(message.position, altitude=800_001)), PLANE)
     np.testing.assert_allclose(half_widths(states)[2], UNKNOWN_POSITION)
 
 
@@ -161,5 +161,5 @@ def test_a_message_says_how_many_objects_its_sender_knows_also_of_those_that_do_
 def test_objects_of_other_senders_may_lack_all_that_is_optional() -> None:
     objects = PerceivedObjects.empty(1)
     objects.id[:], objects.delta_time[:], objects.position[:, :2], objects.position_confidence[:, :2] = 1, 0, 0, 4096
-    (state,) = from_cpm(to_cpm(objects, 1, 0, Position(520_000_000, 90_000_000)), PLANE)[0].position
+    (state,) = from_cpm(to_cpm(objects, 1, 0, Position(520_000_000, 90_000_000)), PLANE).position
     np.testing.assert_allclose(state, [-0.005, -0.005, 0.0], atol=1e-9)
