@@ -25,11 +25,11 @@ from mast_zenoh.v2x.asn1.layout import EncodingProgram, slot_of
 from mast_zenoh.v2x.asn1.plain import to_plain
 from mast_zenoh.v2x.asn1.uper import decode, encode
 
-PAIR = Sequence({"a": Integer(0, 3), "b": Optional(Integer(0, 255))})
-OPEN = Sequence({"a": Integer(0, 3)}, additions={"b": Optional(Integer(0, 7))})
+PAIR = Sequence(a=Integer(0, 3), b=Optional(Integer(0, 255)))
+OPEN = Sequence(a=Integer(0, 3)).extensible(b=Optional(Integer(0, 7)))
 SHADES = Enumerated("dark light", additions="grey")
-DEFAULTS = Sequence({"a": Default(Integer(0, 15), 5)})
-EITHER = Choice({"x": Integer(0, 3), "y": Integer(0, 255)}, additions={"z": Integer(0, 15)})
+DEFAULTS = Sequence(a=Default(Integer(0, 15), 5))
+EITHER = Choice(x=Integer(0, 3), y=Integer(0, 255)).extensible(z=Integer(0, 15))
 CONTAINER = Wrapped("id", "data", Integer(1, 16), {1: Integer(0, 3), 2: ListOf(Integer(0, 255), 0, 255)})
 
 
@@ -106,8 +106,8 @@ def test_each_kind_of_type_has_the_bits_of_the_standard(type, plain, bits):
         (ListOf(Integer(0, 3), 1, 2, extensible=True), "1 00000010 0000", "2 is encoded longer than needed"),
         (ListOf(Integer(0, 3), 1, 2, extensible=True), "1 10 00000001111111", "127 is encoded longer than needed"),
         (ListOf(Integer(0, 3), 1, 2, extensible=True), "1 11 000001", "found a fragmented length"),
-        (Sequence({"a": Demanded(BOOLEAN)}), "0", "a: found presence 0, expected 1: the field is mandatory here"),
-        (Sequence({"a": Absent(BOOLEAN)}), "11", "a: found presence 1, expected 0: the field is not allowed here"),
+        (Sequence(a=Demanded(BOOLEAN)), "0", "a: found presence 0, expected 1: the field is mandatory here"),
+        (Sequence(a=Absent(BOOLEAN)), "11", "a: found presence 1, expected 0: the field is not allowed here"),
         (DEFAULTS, "1 0101", "a: 5 is encoded longer than needed"),
         (OPEN, "1 10 0000000 0", "found a list of 1 extension additions that are all absent"),
         (OPEN, "1 10 1", "after the 64th"),
@@ -141,7 +141,7 @@ def test_encodings_that_are_not_canonical_are_refused(type, bits, message):
         (CONTAINER, {"id": 17, "data": "00"}, "found 17, expected 1..16"),
         (CONTAINER, {"id": 16, "data": ""}, "data: found 0 elements, expected 1..16383"),
         (OPEN, {"a": 0, "+1": None}, "a list of 2 extension additions that are all absent"),
-        (Sequence({"a": Absent(BOOLEAN)}), {"a": True}, "a: found presence 1"),
+        (Sequence(a=Absent(BOOLEAN)), {"a": True}, "a: found presence 1"),
     ],
 )
 def test_values_outside_a_constraint_are_refused_with_the_path_of_the_field(type, plain, message):

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 
 #: The largest count and the most octets of an open type: longer ones would be fragmented (X.691, 11.9.3.8), and no
@@ -127,25 +128,45 @@ class Default(Optional):
     value: int
 
 
-@dataclass(frozen=True, eq=False)
 class Sequence:
-    """SEQUENCE, by field name."""
+    """SEQUENCE, by field name.
 
-    fields: Mapping[str, Field]
-    additions: Mapping[str, Optional] | None = None
+    additions: those behind the extension marker; None: there is no marker
+    """
+
+    def __init__(self, **fields: Field) -> None:
+        self.fields: Mapping[str, Field] = fields
+        self.additions: Mapping[str, Optional] | None = None
+
+    def extensible(self, **additions: Optional) -> Sequence:
+        """The sequence with an extension marker, and with the additions that the version knows."""
+        sequence = copy(self)
+        sequence.additions = additions
+        return sequence
 
     def constrained(self, **fields: Field) -> Sequence:
         """The sequence with narrower types of some fields."""
         assert fields.keys() <= self.fields.keys()
-        return dataclasses.replace(self, fields=dict(self.fields) | fields)
+        sequence = copy(self)
+        sequence.fields = {**self.fields, **fields}
+        return sequence
 
 
-@dataclass(frozen=True, eq=False)
 class Choice:
-    """CHOICE, by name of the alternative."""
+    """CHOICE, by name of the alternative.
 
-    alternatives: Mapping[str, Type]
-    additions: Mapping[str, Type] | None = None
+    additions: those behind the extension marker; None: there is no marker
+    """
+
+    def __init__(self, **alternatives: Type) -> None:
+        self.alternatives: Mapping[str, Type] = alternatives
+        self.additions: Mapping[str, Type] | None = None
+
+    def extensible(self, **additions: Type) -> Choice:
+        """The choice with an extension marker, and with the additions that the version knows."""
+        choice = copy(self)
+        choice.additions = additions
+        return choice
 
     @property
     def known(self) -> dict[str, Type]:

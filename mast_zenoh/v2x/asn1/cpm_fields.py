@@ -29,16 +29,13 @@ from mast_zenoh.v2x.asn1.cdd import (
 )
 from mast_zenoh.v2x.asn1.layout import EncodingProgram
 
-MessageRateRange = Sequence({"messageRateMin": MessageRateHz, "messageRateMax": MessageRateHz})
+MessageRateRange = Sequence(messageRateMin=MessageRateHz, messageRateMax=MessageRateHz)
 ManagementContainer = Sequence(
-    {
-        "referenceTime": TimestampIts,
-        "referencePosition": ReferencePosition,
-        "segmentationInfo": Optional(MessageSegmentationInfo),
-        "messageRateRange": Optional(MessageRateRange),
-    },
-    additions={},
-)
+    referenceTime=TimestampIts,
+    referencePosition=ReferencePosition,
+    segmentationInfo=Optional(MessageSegmentationInfo),
+    messageRateRange=Optional(MessageRateRange),
+).extensible()
 TrailerDataSet = ListOf(
     TrailerData.constrained(
         frontOverhang=Absent(StandardLength1B), rearOverhang=Absent(StandardLength1B), trailerWidth=Absent(VehicleWidth)
@@ -48,48 +45,36 @@ TrailerDataSet = ListOf(
     extensible=True,
 )
 OriginatingVehicleContainer = Sequence(
-    {
-        "orientationAngle": Wgs84Angle,
-        "pitchAngle": Optional(CartesianAngle),
-        "rollAngle": Optional(CartesianAngle),
-        "trailerDataSet": Optional(TrailerDataSet),
-    },
-    additions={},
-)
-OriginatingRsuContainer = Sequence({"mapReference": Optional(MapReference)}, additions={})
+    orientationAngle=Wgs84Angle,
+    pitchAngle=Optional(CartesianAngle),
+    rollAngle=Optional(CartesianAngle),
+    trailerDataSet=Optional(TrailerDataSet),
+).extensible()
+OriginatingRsuContainer = Sequence(mapReference=Optional(MapReference)).extensible()
 SensorInformation = Sequence(
-    {
-        "sensorId": Identifier1B,
-        "sensorType": SensorType,
-        "perceptionRegionShape": Optional(Shape),
-        "perceptionRegionConfidence": Optional(ConfidenceLevel),
-        "shadowingApplies": BOOLEAN,
-    },
-    additions={},
-)
+    sensorId=Identifier1B,
+    sensorType=SensorType,
+    perceptionRegionShape=Optional(Shape),
+    perceptionRegionConfidence=Optional(ConfidenceLevel),
+    shadowingApplies=BOOLEAN,
+).extensible()
 SensorInformationContainer = ListOf(SensorInformation, 1, 128, extensible=True)
 PerceivedObjectIds = ListOf(Identifier2B, 0, 255, extensible=True)
 PerceptionRegion = Sequence(
-    {
-        "measurementDeltaTime": DeltaTimeMilliSecondSigned,
-        "perceptionRegionConfidence": ConfidenceLevel,
-        "perceptionRegionShape": Shape,
-        "shadowingApplies": BOOLEAN,
-        "sensorIdList": Optional(SequenceOfIdentifier1B),
-        "numberOfPerceivedObjects": Optional(CardinalNumber1B),
-        "perceivedObjectIds": Optional(PerceivedObjectIds),
-    },
-    additions={},
-)
+    measurementDeltaTime=DeltaTimeMilliSecondSigned,
+    perceptionRegionConfidence=ConfidenceLevel,
+    perceptionRegionShape=Shape,
+    shadowingApplies=BOOLEAN,
+    sensorIdList=Optional(SequenceOfIdentifier1B),
+    numberOfPerceivedObjects=Optional(CardinalNumber1B),
+    perceivedObjectIds=Optional(PerceivedObjectIds),
+).extensible()
 PerceptionRegionContainer = ListOf(PerceptionRegion, 1, 256, extensible=True)
 PerceivedObjects = ListOf(PerceivedObject.constrained(objectId=Demanded(Identifier2B)), 0, 255, extensible=True)
 PerceivedObjectContainer = Sequence(
-    {
-        "numberOfPerceivedObjects": CardinalNumber1B,
-        "perceivedObjects": PerceivedObjects,
-    },
-    additions={},
-)
+    numberOfPerceivedObjects=CardinalNumber1B,
+    perceivedObjects=PerceivedObjects,
+).extensible()
 WrappedCpmContainer = Wrapped(
     "containerId",
     "containerData",
@@ -105,17 +90,12 @@ WrappedCpmContainer = Wrapped(
 # The constraint that excludes two kinds of originating station ends the extensibility of the list (X.680, 50.11).
 ConstraintWrappedCpmContainers = ListOf(WrappedCpmContainer, 1, 8)
 CpmPayload = Sequence(
-    {
-        "managementContainer": ManagementContainer,
-        "cpmContainers": ConstraintWrappedCpmContainers,
-    },
-    additions={},
-)
+    managementContainer=ManagementContainer,
+    cpmContainers=ConstraintWrappedCpmContainers,
+).extensible()
 CollectivePerceptionMessage = Sequence(
-    {
-        "header": ItsPduHeader.constrained(protocolVersion=OrdinalNumber1B.only(2), messageId=MessageId.only(14)),
-        "payload": CpmPayload,
-    }
+    header=ItsPduHeader.constrained(protocolVersion=OrdinalNumber1B.only(2), messageId=MessageId.only(14)),
+    payload=CpmPayload,
 )
 
 #: The message as a program for the codec.
