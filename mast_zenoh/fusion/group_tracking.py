@@ -55,9 +55,6 @@ class ReturningObjects:
 
     def __init__(self, memory_s: float) -> None:
         self._memory_ns = round(memory_s * 1e9)
-        self.reset()
-
-    def reset(self) -> None:
         self._tracker_ids, self._output_ids = np.zeros(0, np.int64), np.zeros(0, np.int64)  # of the last picture
         self._picture, self._time_ns = ObjectStates.empty(), 0
         self._known: dict[int, _GroupedObject] = {}  # by tracker id
@@ -206,7 +203,7 @@ class GroupTrackerWrapper(GroupTracker):
 
     def reset(self) -> None:
         self.tracker.reset()
-        self._returning.reset()
+        self._returning = ReturningObjects(self.id_memory_s)
         self._clusters = np.zeros(0, np.int64)
 
 

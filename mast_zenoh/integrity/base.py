@@ -125,6 +125,12 @@ class ObjectTrust:
     contradicting: Ints
     withheld: Bools
 
+    @classmethod
+    def of(cls, expected: Ints, confirming: Ints, contradicting: Ints, withheld: Bools) -> ObjectTrust:
+        """Trust by how many of the agents that say something confirm the object; 0.5 if none does."""
+        trust = (1.0 + confirming) / (2.0 + confirming + contradicting)
+        return cls(trust, expected, confirming, contradicting, withheld)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Assessment:

@@ -61,11 +61,10 @@ class Cad(Integrity):
 
     def __post_init__(self) -> None:
         check("more than 0", threshold_m2=self.threshold_m2, range_m=self.range_m, link_m=self.link_m)
-        self._record = BetaReputation(record_s=self.record_s)
         self.reset()
 
     def reset(self) -> None:
-        self._record.reset()
+        self._record = BetaReputation(record_s=self.record_s)
         self._count = CheckCount()
         self._spoofed = self._removed = 0
 
@@ -85,21 +84,14 @@ class Cad(Integrity):
             self._count.without_reference += 1
         self._spoofed += int(spoofed.sum())
         self._removed += len(removed)
-        silent = np.zeros(len(batch.agents))
-        for area in removed:
-            silent[area.agents] += 1.0
+        silent = np.zeros((len(removed), len(batch.agents)), np.bool_)
+        for row, area in enumerate(removed):
+            silent[row, area.agents] = True
         confirming, contradicting = reported.sum(axis=1), by_agent.sum(axis=1)
         agreed = reported & (~spoofed & (confirming > 1))[:, None]
-        refuted = (reported & spoofed[:, None]).sum(axis=0) + silent
-        mean = self._record.update(batch.time_ns, batch.agents, agreed.sum(axis=0, dtype=np.float64), refuted)
+        mean = self._record.update(batch, agreed, np.concatenate([reported & spoofed[:, None], silent]))
         seen = sightings(boxes.position, boxes.size, boxes.yaw, batch.views)
-        objects = ObjectTrust(
-            (1.0 + confirming) / (2.0 + confirming + contradicting),
-            (seen.in_view | reported).sum(axis=1),
-            confirming,
-            contradicting,
-            spoofed,
-        )
+        objects = ObjectTrust.of((seen.in_view | reported).sum(axis=1), confirming, contradicting, spoofed)
         return Assessment(None, AgentTrust.of(mean), objects)
 
 

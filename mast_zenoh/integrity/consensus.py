@@ -118,9 +118,7 @@ def admission(batch: Batch, admitted: Bools, mean: Floats, reason: str) -> Asses
     state = np.where(admitted, UNKNOWN, SUSPENDED).astype(np.uint8)
     claims = batch.reported & admitted
     members, confirming = batch.reported.sum(axis=1), claims.sum(axis=1)
-    objects = ObjectTrust(
-        (1.0 + confirming) / (2.0 + members), members, confirming, members - confirming, confirming == 0
-    )
+    objects = ObjectTrust.of(members, confirming, members - confirming, confirming == 0)
     reasons = tuple("" if is_admitted else reason for is_admitted in admitted.tolist())
     return Assessment(batch.weights(claims), AgentTrust.of(mean, state, reasons), objects)
 
@@ -134,15 +132,9 @@ class RecordedAdmission:
     def __init__(self, record_s: float) -> None:
         self._record = BetaReputation(record_s=record_s)
 
-    def reset(self) -> None:
-        """Return to the initial state."""
-        self._record.reset()
-
     def assess(self, batch: Batch, admitted: Bools, reason: str = "") -> Assessment:
         """See `admission`."""
-        mean = self._record.update(
-            batch.time_ns, batch.agents, admitted.astype(np.float64), (~admitted).astype(np.float64)
-        )
+        mean = self._record.update(batch, admitted[None], ~admitted[None])
         return admission(batch, admitted, mean, reason)
 
 
@@ -167,11 +159,10 @@ class EgoConsensus(Integrity):
         check_agent("ego", self.ego)
         check("more than 0 and at most 1", match_iou=self.match_iou)
         check("more than 0", area_m=self.area_m)
-        self._admission = RecordedAdmission(self.record_s)
         self.reset()
 
     def reset(self) -> None:
-        self._admission.reset()
+        self._admission = RecordedAdmission(self.record_s)
         self._count = CheckCount()
 
     def facts(self) -> dict[str, Any]:

@@ -212,10 +212,6 @@ class LastingDeviations:
 
     def __init__(self, limit: int = 10_000) -> None:
         self._limit = limit
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything."""
         self._usual = USUAL.copy()
         self._looked_ns: int | None = None
         self.forget_all()

@@ -63,7 +63,6 @@ class FaultOrLie(Integrity):
         if isinstance(self.stage, FaultOrLie):
             raise ValueError("stage: found FaultOrLie, expected another stage: faults are corrected once")
         self._stage = self.stage or SequentialConsistency()
-        self._faults = RelativeFaults(self.significance, self.least_m, self.share, self.memory_s)
         self.reset()
 
     def bind(self, seed: int, name: str) -> None:
@@ -74,7 +73,7 @@ class FaultOrLie(Integrity):
 
     def reset(self) -> None:
         self._stage.reset()
-        self._faults.reset()
+        self._faults = RelativeFaults(self.significance, self.least_m, self.share, self.memory_s)
         # loss: share of frames in which nothing of the agent arrived
         # excused_until_ns: ns, until when no further fault excuses what the agent did before it was found
         self._agents = AgentMemory(forget_s=600.0, loss=0.0, excused_until_ns=0)

@@ -67,14 +67,13 @@ class Made(Integrity):
         check("more than 0", area_m=self.area_m)
         check("True or False", dependent=self.dependent)
         self._losses = calibration_losses(MATCH_LOSSES if self.calibration is None else self.calibration)
-        self._admission = RecordedAdmission(self.record_s)
         # Slow to import: done before the first batch.
         import scipy.optimize  # noqa: F401
 
         self.reset()
 
     def reset(self) -> None:
-        self._admission.reset()
+        self._admission = RecordedAdmission(self.record_s)
         self._count = CheckCount()
 
     def facts(self) -> dict[str, Any]:

@@ -67,11 +67,10 @@ class Plausibility(Integrity):
 
     def __post_init__(self) -> None:
         check("more than 0", speed_mps=self.speed_mps, gap_s=self.gap_s, approach_m=self.approach_m)
-        self._record = BetaReputation(record_s=self.record_s)
         self.reset()
 
     def reset(self) -> None:
-        self._record.reset()
+        self._record = BetaReputation(record_s=self.record_s)
         # state: that the next one is compared to, see `_states`;  checked_ns: its time
         # sudden_ns: time until which an object is withheld
         self._objects = ObjectMemory(alarms=0.0, checked_ns=NOW, state=(np.nan,) * 8, sudden_ns=0)
@@ -99,12 +98,8 @@ class Plausibility(Integrity):
         self._of.sudden_ns[rows[witnesses > 1]] = 0
         impossible = witnesses == 0
         withheld = impossible | (self._of.alarms[rows] > _ALARMS) | (self._of.sudden_ns[rows] > time_ns)
-        mean = self._record.update(
-            time_ns,
-            batch.agents,
-            (table & (~withheld & (witnesses > 1))[:, None]).sum(axis=0, dtype=np.float64),
-            ((reported & ~table) | (reported & withheld[:, None])).sum(axis=0, dtype=np.float64),
-        )
+        upheld = table & (~withheld & (witnesses > 1))[:, None]
+        mean = self._record.update(batch, upheld, reported & (~table | withheld[:, None]))
         trust = np.where(withheld, 0.25, np.where(witnesses > 1, 0.75, 0.5))
         members = reported.sum(axis=1)
         objects = ObjectTrust(trust, members, witnesses, members - witnesses, np.asarray(withheld))

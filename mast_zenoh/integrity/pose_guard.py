@@ -49,11 +49,10 @@ class PoseGuard(Integrity):
     def __post_init__(self) -> None:
         check_agent("ego", self.ego)
         check("more than 0", region_m=self.region_m, agree_m=self.agree_m)
-        self._record = BetaReputation(record_s=self.record_s)
         self.reset()
 
     def reset(self) -> None:
-        self._record.reset()
+        self._record = BetaReputation(record_s=self.record_s)
         self._count = CheckCount()
         self._left_out = self._withheld = 0
 
@@ -81,15 +80,9 @@ class PoseGuard(Integrity):
         claims = reported & ~left_out & ~unseen[:, None]
         own = reported[:, ego] if ego >= 0 else np.zeros(c, np.bool_)
         compared = reported & checked[:, None] & (own | unseen)[:, None]
-        mean = self._record.update(
-            batch.time_ns,
-            batch.agents,
-            (compared & claims).sum(axis=0, dtype=np.float64),
-            (compared & ~claims).sum(axis=0, dtype=np.float64),
-        )
+        mean = self._record.update(batch, compared & claims, compared & ~claims)
         members, confirming = reported.sum(axis=1), claims.sum(axis=1)
-        trust = (1.0 + confirming) / (2.0 + members)
-        objects = ObjectTrust(trust, members, confirming, members - confirming, unseen)
+        objects = ObjectTrust.of(members, confirming, members - confirming, unseen)
         return Assessment(batch.weights(claims), AgentTrust.of(mean), objects)
 
 

@@ -304,10 +304,6 @@ class RelativeFaults:
 
     def __init__(self, significance: float, least_m: float, share: float, memory_s: float) -> None:
         self._significance, self._least_m, self._share, self._memory_s = significance, least_m, share, memory_s
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything."""
         self._agents = AgentMemory()
         self._fits = PairFits.of(0)
         self._corrected = np.zeros((0, 4))  # (m, 4) of each agent, about the fixed point

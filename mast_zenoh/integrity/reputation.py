@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
-from mast_zenoh.arrays.states import Floats
+from mast_zenoh.arrays.states import Bools, Floats
+from mast_zenoh.integrity.base import Batch
 from mast_zenoh.integrity.memory import AgentMemory
 
 #: s between independent pieces of evidence about one object: consecutive offsets of two honest tracks correlate at 0.8
@@ -24,10 +25,6 @@ class BetaReputation:
     def __init__(self, *, record_s: float) -> None:
         check("more than 0", record_s=record_s)
         self._record_s = record_s
-        self.reset()
-
-    def reset(self) -> None:
-        """Return to the initial state."""
         self._agents = AgentMemory(counts=(0.0, 0.0))
         self._last_ns: int | None = None
 
@@ -36,18 +33,20 @@ class BetaReputation:
         known = dict(zip(self._agents.names, _mean(self._agents.of.counts).tolist(), strict=True))
         return np.array([known.get(name, 0.5) for name in names], np.float64)
 
-    def update(self, time_ns: int, names: tuple[str, ...], upheld: Floats, refuted: Floats) -> Floats:
+    def update(self, batch: Batch, upheld: Bools, refuted: Bools) -> Floats:
         """(a,) the mean after a batch.
 
-        upheld, refuted: (a,) numbers of claims in the batch; each counts for the time since the last batch, at most
-        INDEPENDENT_S, so that an object counts once a second however often it is reported.
+        upheld: (k, a), refuted: (m, a) claims of its agents, such as those about its clusters. Each counts for the time
+        since the last batch, at most INDEPENDENT_S, so that an object counts once a second however often it is
+        reported.
         """
-        elapsed = 0.0 if self._last_ns is None else (time_ns - self._last_ns) * 1e-9
-        self._last_ns = time_ns
-        rows = self._agents.meet(time_ns, names)
+        elapsed = 0.0 if self._last_ns is None else (batch.time_ns - self._last_ns) * 1e-9
+        self._last_ns = batch.time_ns
+        rows = self._agents.meet(batch.time_ns, batch.agents)
         counts = self._agents.of.counts
         counts *= np.exp(-elapsed / self._record_s)
-        counts[rows] += np.column_stack([upheld, refuted]) * min(elapsed / INDEPENDENT_S, 1.0)
+        claims = np.column_stack([upheld.sum(axis=0), refuted.sum(axis=0)])
+        counts[rows] += claims * min(elapsed / INDEPENDENT_S, 1.0)
         return _mean(counts)[rows]
 
 

@@ -58,7 +58,7 @@ class RobustFusion(Integrity):
         check("more than 0", gate=self.gate, bias_m=self.bias_m, bias_mps=self.bias_mps)
         check("1 or more", confidence=self.confidence)
         self._bias = np.diag([self.bias_m**2, self.bias_m**2, self.bias_mps**2, self.bias_mps**2])
-        self._record = BetaReputation(record_s=self.record_s)
+        self.reset()
 
     def assess(self, batch: Batch) -> Assessment:
         reported: Bools = batch.reported
@@ -69,16 +69,9 @@ class RobustFusion(Integrity):
         judged = reported & (reported.sum(axis=1) > 2)[:, None]
         kept = self._better_of_two(kept, state, covariance, self._record.mean(batch.agents))
         weight = median_weights(kept, state[..., :2]) * self._limited(kept, claimed)
-        mean = self._record.update(
-            batch.time_ns,
-            batch.agents,
-            (judged & kept).sum(axis=0, dtype=np.float64),
-            (judged & ~kept).sum(axis=0, dtype=np.float64),
-        )
+        mean = self._record.update(batch, judged & kept, judged & ~kept)
         members, agreeing = reported.sum(axis=1), kept.sum(axis=1)
-        objects = ObjectTrust(
-            (1.0 + agreeing) / (2.0 + members), members, agreeing, members - agreeing, np.zeros(len(members), np.bool_)
-        )
+        objects = ObjectTrust.of(members, agreeing, members - agreeing, np.zeros(len(members), np.bool_))
         return Assessment(weight[batch.labels, batch.agent], AgentTrust.of(mean), objects)
 
     def _without_outliers(self, members: Bools, state: Floats, covariance: Floats) -> Bools:
@@ -117,7 +110,7 @@ class RobustFusion(Integrity):
         return np.asarray(np.where(kept, variance / limited, 0.0))
 
     def reset(self) -> None:
-        self._record.reset()
+        self._record = BetaReputation(record_s=self.record_s)
 
 
 def leave_one_out(members: Bools, state: Floats, covariance: Floats) -> Floats:

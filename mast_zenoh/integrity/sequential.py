@@ -138,7 +138,6 @@ class SequentialConsistency(Integrity):
         check("0 or more, finite", allowance=self.allowance)
         self._tails = Tail(*self.contradiction_tail), Tail(*self.deviation_tail)
         self._pair_tail = Tail(*self.pair_tail)
-        self._lasting = LastingDeviations()
         self.reset()
 
     def reset(self) -> None:
@@ -169,7 +168,7 @@ class SequentialConsistency(Integrity):
         self._existence = ExistenceVotes(self._agents)
         self._pairs = np.zeros((0, 0))  # (m, m) cumulative disputes of each pair, object-seconds
         self._apart_ns = np.zeros((0, 0), np.int64)  # (m, m) ns, when a pair last reported an object apart; 0: never
-        self._lasting.reset()
+        self._lasting = LastingDeviations()
         self._time_ns: int | None = None
         self._reasons: dict[str, str] = {}
         self._awaited: frozenset[str] | None = None  # None: nobody looks for faults

@@ -38,7 +38,7 @@ class KOfN(Integrity):
     def __post_init__(self) -> None:
         check("1 or more", k=self.k)
         check("more than 0", range_m=self.range_m)
-        self._record = BetaReputation(record_s=self.record_s)
+        self.reset()
 
     def assess(self, batch: Batch) -> Assessment:
         boxes = ClusterBoxes.of(batch)
@@ -48,17 +48,14 @@ class KOfN(Integrity):
         confirming, contradicting, should = (votes.sum(axis=1) for votes in (reported, seen.fully_clear, expected))
         withheld = confirming - contradicting < np.minimum(self.k, should)
         corroborated = ~withheld & (confirming > 1)
-        upheld, refuted = (
-            (reported & each[:, None]).sum(axis=0, dtype=np.float64) for each in (corroborated, withheld)
-        )
-        mean = self._record.update(batch.time_ns, batch.agents, upheld, refuted)
+        mean = self._record.update(batch, reported & corroborated[:, None], reported & withheld[:, None])
         trust = (1.0 + confirming) / (2.0 + np.maximum(should, confirming + contradicting))
         return Assessment(
             None, AgentTrust.of(mean), ObjectTrust(trust, should, confirming, contradicting, np.asarray(withheld))
         )
 
     def reset(self) -> None:
-        self._record.reset()
+        self._record = BetaReputation(record_s=self.record_s)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -91,11 +88,10 @@ class FreeSpace(Integrity):
 
     def __post_init__(self) -> None:
         check("more than 0", memory_s=self.memory_s, range_m=self.range_m)
-        self._record = BetaReputation(record_s=self.record_s)
         self.reset()
 
     def reset(self) -> None:
-        self._record.reset()
+        self._record = BetaReputation(record_s=self.record_s)
         self._votes = VoteMemory(self.memory_s, forget_s=self.memory_s)
 
     def assess(self, batch: Batch) -> Assessment:
@@ -111,13 +107,7 @@ class FreeSpace(Integrity):
         removed = silent & (claims.sum(axis=1) > 1)[:, None]
         spoofed = reported & withheld[:, None]
         agreed = claims & (confirming > 1)[:, None] & ~withheld[:, None]
-        mean = self._record.update(
-            batch.time_ns,
-            batch.agents,
-            agreed.sum(axis=0, dtype=np.float64),
-            (spoofed | removed).sum(axis=0, dtype=np.float64),
-        )
-        trust = (1.0 + confirming) / (2.0 + confirming + contradicting)
+        mean = self._record.update(batch, agreed, spoofed | removed)
         expected = (seen.in_view | reported).sum(axis=1)
-        objects = ObjectTrust(trust, expected, confirming, contradicting, withheld)
+        objects = ObjectTrust.of(expected, confirming, contradicting, withheld)
         return Assessment(batch.weights(claims), AgentTrust.of(mean), objects)

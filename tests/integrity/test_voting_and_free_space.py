@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from integrity_batches import CAR, STEP_NS, Track, batch, view
+from integrity_batches import CAR, Track, batch, view
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.integrity import Batch, FreeSpace, Integrity, KOfN, SweptView
@@ -147,10 +147,10 @@ def test_an_old_view_shows_where_an_object_was() -> None:
 def test_a_record_counts_an_object_once_a_second_and_forgets() -> None:
     record, names = BetaReputation(record_s=10.0), ("a", "b")
     assert record.mean(names).tolist() == [0.5, 0.5]
-    upheld, refuted = np.array([3.0, 0.0]), np.array([0.0, 3.0])
-    assert record.update(0, names, upheld, refuted).tolist() == [0.5, 0.5], "no time has passed"
+    upheld, refuted = np.tile([True, False], (3, 1)), np.tile([False, True], (3, 1))
+    assert record.update(batch([], names), upheld, refuted).tolist() == [0.5, 0.5], "no time has passed"
     for frame in range(1, 11):
-        mean = record.update(frame * STEP_NS, names, upheld, refuted)
+        mean = record.update(batch([], names, frame=frame), upheld, refuted)
     # 0.3 a frame, and e^-0.01 of what was: 0.3 * (1 - e^-0.1) / (1 - e^-0.01).
     counted = 0.3 * (1.0 - np.exp(-0.1)) / (1.0 - np.exp(-0.01))
     assert mean == pytest.approx([(1.0 + counted) / (2.0 + counted), 1.0 / (2.0 + counted)])
