@@ -1,8 +1,7 @@
 """Hosts nodes: one host for all of them, and a runtime for each way to run it.
 
 host         one node, without I/O: checks, holds, counts, numbers and delays its messages
-handlers     the handlers of its input ports
-waiting      messages held for their clock or delayed, and limits on their number and size
+waiting      items that wait until they are due, and limits on the number and size of waiting messages
 inproc       all nodes in one process
 player       nodes that send what was recorded
 protocol/    what the processes of a run do, as state machines without I/O

@@ -24,9 +24,8 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.limits import NO_LIMITS, RowLimits, Shortened, Timespan, excess
 from mast_zenoh.messages.packed import Packed, check_codec, check_kernels, pack
 from mast_zenoh.messages.schemas import Body, Header, Message
-from mast_zenoh.node import Node, Outside, Overheard, Received, Source, Unopened
-from mast_zenoh.runtime.handlers import Handlers
-from mast_zenoh.runtime.waiting import DELAYED, HELD, Delayed, Held, HeldMessages, Room
+from mast_zenoh.node import Node, Outside, Overheard, Received, Source, Unopened, handler_of
+from mast_zenoh.runtime.waiting import DELAYED, HELD, WaitingItems
 from mast_zenoh.streams import stream
 from mast_zenoh.v2x.reference_position import WORLD_PLANE, LocalPlane
 from mast_zenoh.wiring.model import ANY, NO_WIRING, Input, Ports, Wiring
@@ -60,14 +59,6 @@ class Outgoing(NamedTuple):
     payload: bytes | Message
     step: int
     flaw: str = ""
-
-
-class _DelayedMessage(NamedTuple):
-    """A message to send later, and the room it takes up, bytes, for a source."""
-
-    out: Outgoing
-    source: str
-    size: int
 
 
 class Host:
@@ -142,9 +133,8 @@ class Host:
         self._step = -1  # of messages sent now
         self._started_ns: int | None = None  # when the first clock was received
         self._handler_time_ns = 0  # when the running handler was called; constant within it, to keep messages in order
-        self._delayed: Delayed[_DelayedMessage] = Delayed()
-        self._delayed_room = Room(DELAYED)
-        self._held = HeldMessages()
+        self._delayed: WaitingItems[Outgoing] = WaitingItems(DELAYED)
+        self._held: WaitingItems[tuple[str, Input, Received, bool]] = WaitingItems(HELD)  # arguments of `_handle`
         self._handling = ""  # key of the message being handled
         self._timespan = timespan
         self._plane = plane
@@ -154,10 +144,11 @@ class Host:
         self._overhears = ANY in node.inputs.values()
         self._chooses = type(node).choice is not Node.choice
         self.link: OpenedOutside | None = None  # of a node that has topics outside the run
-        self._handlers = Handlers(node)
-        for port_input in ports.inputs.values():
-            self._handlers.add(port_input)
-        self._unopened = self._handlers.unopened
+        self._handlers: dict[str, Callable[[Any, Any], None]] = {}  # by input port
+        self._handler_names: dict[str, str] = {}
+        self._unopened: set[str] = set()  # ports of messages that are not decoded
+        for port, message in [*node.inputs.items(), *((each.port, each.message) for each in ports.inputs.values())]:
+            self._find_handler(port, message)
 
     @classmethod
     def of(cls, resolved: Resolved, name: str, node: Node, wiring: Wiring, **options: Any) -> Host:
@@ -370,7 +361,7 @@ class Host:
     def add_input(self, key: str, port_input: Input) -> None:
         """Accept messages on another key from now on."""
         self._inputs[key] = port_input
-        self._handlers.add(port_input)
+        self._find_handler(port_input.port, port_input.message)
 
     @property
     def waiting(self) -> int:
@@ -411,6 +402,15 @@ class Host:
             self._send_due(_FOREVER)
 
     # -- inside --------------------------------------------------------------------------------------------------
+
+    def _find_handler(self, port: str, message: str) -> None:
+        """Find the handler of an input port for messages of a type; raises TypeError if there is none."""
+        node = self.node
+        if port not in self._handlers:
+            name = self._handler_names[port] = handler_of(type(node), port, message)
+            self._handlers[port] = getattr(node, name)
+            if port in node.unopened or (ANY in node.unopened and port not in node.inputs):
+                self._unopened.add(port)
 
     def _output(self, port: str) -> str:
         if port not in self._types:
@@ -471,15 +471,12 @@ class Host:
         source = self.publisher(source_key)
         # The encoded size also in one process, so that both drop the same messages.
         size = len(payload if isinstance(payload, bytes) else codec.encode(payload))
-        if self._delayed_room.take(source, size):
-            self._delayed.push(due, rank, _DelayedMessage(out, source, size))
-        else:
-            self._count_rejected(source_key, f"delayed: more than {self._delayed_room.limit} of {source} are delayed")
+        if not self._delayed.push(due, rank, out, source, size):
+            self._count_rejected(source_key, f"delayed: more than {DELAYED} of {source} are delayed")
 
     def _send_due(self, now: int) -> None:
         """Send messages due at `now`, a step in lock-step, else ns; in the current step."""
-        for out, source, size in self._delayed.pop(now):
-            self._delayed_room.free(source, size)
+        for out in self._delayed.pop(now):
             self._emit(out._replace(step=self._step))
             self.sent[out.key] += 1
 
@@ -505,7 +502,7 @@ class Host:
         self._handle(key, port_input, received, counted)
         if self._now is None:
             self._send_due(self._step)
-        for message in self._held.release(self.frame):
+        for message in self._held.pop(self.frame):
             self._handle(*message)
 
     def _overhear(
@@ -527,25 +524,22 @@ class Host:
             with suppress(MessageError):
                 self.observe(key, overheard.header)
         self._handling = key
-        self._guard(port_input.port, self._handlers.of[port_input.port], overheard, self)
+        self._guard(port_input.port, self._handlers[port_input.port], overheard, self)
 
     def _take(self, key: str, port_input: Input, received: Received, counted: bool) -> None:
         """Handle a message, or hold it until the clock of its step."""
         if received.step > self.frame and self.clocked:
-            self._hold(received.step, key, port_input, received, counted)
+            source, message = self.publisher(key), (key, port_input, received, counted)
+            if not self._held.push(received.step, 0, message, source, _size(received)):
+                self._reject(key, f"held: more than {HELD} of {source} wait for their clock", counted)
             return
         if not self.clocked:  # a node without a clock takes its step from the messages it handles
             self._step = max(self._step, received.step)
         self._handle(key, port_input, received, counted)
 
-    def _hold(self, step: int, key: str, port_input: Input, received: Received, counted: bool) -> None:
-        source = self.publisher(key)
-        if not self._held.hold(step, source, Held(key, port_input, received, counted)):
-            self._reject(key, f"held: more than {HELD} of {source} wait for their clock", counted)
-
     def _handle(self, key: str, port_input: Input, received: Received, counted: bool) -> None:
         self._handling, n_rejected = key, self._n_rejected
-        self._guard(port_input.port, self._handlers.of[port_input.port], received, self)
+        self._guard(port_input.port, self._handlers[port_input.port], received, self)
         self._handling = ""
         if self._n_rejected == n_rejected:
             self._accepted.add(key)
@@ -569,7 +563,7 @@ class Host:
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # GeneratorExit and CancelledError are not Exceptions
-            overheard = self._overhears and self._handlers.of.get(name) is call
+            overheard = self._overhears and self._handlers.get(name) is call
             if overheard and isinstance(error, MessageError):  # of a message that subscribers would refuse
                 self._reject(self._handling, str(error), counted=False)
                 return None
@@ -577,7 +571,7 @@ class Host:
             return None
 
     def _note_failure(self, name: str, call: Any, arguments: tuple[Any, ...], error: BaseException) -> None:
-        handler = self._handlers.names[name] if self._handlers.of.get(name) is call else name
+        handler = self._handler_names[name] if self._handlers.get(name) is call else name
         if handler not in self.failures:
             self.log.error("%s failed (its further failures are only counted)", handler, exc_info=error)
             self.failures[handler] = Failure(handler, error, getattr(self.node, handler, call))
@@ -591,6 +585,12 @@ class Host:
         if isinstance(message, Received) and not self.clocked and message.step >= 0:
             return message.step
         return self.frame
+
+
+def _size(received: Received) -> int:
+    """Size of a message, bytes: its payload, or its columns if it was never encoded."""
+    payload = received.payload
+    return len(payload) if payload is not None else sum(column.nbytes for column in received.body.values())
 
 
 def _direct_clock(wiring: Wiring) -> bool:

@@ -1,4 +1,4 @@
-"""Waiting messages in a node's process: limits per source and buffer, messages held for their clock, delayed messages.
+"""Waiting messages in a node's process: limits per source and buffer, and a buffer of items that are due later.
 
 A source is the node that publishes a key's wire. A hostile source can only use up its own room. The limits of all
 buffers together keep a process below 400 MB for one source. Forty agents with 60 tracks each use at most three quarters
@@ -11,9 +11,6 @@ import heapq
 from collections import Counter
 from collections.abc import Iterator
 from typing import Generic, NamedTuple, TypeVar
-
-from mast_zenoh.node import Received
-from mast_zenoh.wiring.model import Input
 
 _MIB = 1 << 20
 
@@ -60,69 +57,37 @@ class Room:
         self._bytes[source] -= size
 
 
-class Held(NamedTuple):
-    """A held message; counted: whether lock-step waits for it."""
-
-    key: str
-    port_input: Input
-    received: Received
-    counted: bool
-
-
-class HeldMessages:
-    """Held messages by step, limited by source; `len` is their number."""
-
-    def __init__(self) -> None:
-        self._by_step: dict[int, list[tuple[Held, str, int]]] = {}  # with source and size
-        self._room = Room(HELD)
-
-    def __len__(self) -> int:
-        return sum(map(len, self._by_step.values()))
-
-    def hold(self, step: int, source: str, message: Held) -> bool:
-        """Hold a message; False if its source has no room left."""
-        size = _size(message.received)
-        if not self._room.take(source, size):
-            return False
-        self._by_step.setdefault(step, []).append((message, source, size))
-        return True
-
-    def release(self, frame: int) -> Iterator[Held]:
-        """Remove and yield messages of steps up to `frame`, by step and order of arrival."""
-        for step in sorted(step for step in self._by_step if step <= frame):
-            for message, source, size in self._by_step.pop(step):
-                self._room.free(source, size)
-                yield message
-
-
-def _size(received: Received) -> int:
-    """Size of a message, bytes: its payload, or its columns if it was never encoded."""
-    payload = received.payload
-    return len(payload) if payload is not None else sum(column.nbytes for column in received.body.values())
-
-
 Item = TypeVar("Item")
 
 
-class Delayed(Generic[Item]):
-    """Holds items until they are due.
+class WaitingItems(Generic[Item]):
+    """Items that wait until they are due, limited by source; `len` is their number.
 
     Items due at the same time are ordered by `rank`, items of equal rank by insertion.
     """
 
-    def __init__(self) -> None:
-        self._heap: list[tuple[int, int, int, Item]] = []
+    def __init__(self, limit: Limit) -> None:
+        self._heap: list[tuple[int, int, int, str, int, Item]] = []
         self._count = 0  # breaks ties, so that items are never compared
+        self._room = Room(limit)
 
-    def push(self, due: int, rank: int, item: Item) -> None:
-        """Hold an item until `due` (a step or ns, the unit that `pop` gets)."""
-        heapq.heappush(self._heap, (due, rank, self._count, item))
+    def push(self, due: int, rank: int, item: Item, source: str, size: int) -> bool:
+        """Keep an item of `size` bytes until `due`; False if its source has no room left.
+
+        due: a step or ns, the unit that `pop` gets
+        """
+        if not self._room.take(source, size):
+            return False
+        heapq.heappush(self._heap, (due, rank, self._count, source, size, item))
         self._count += 1
+        return True
 
     def pop(self, now: int) -> Iterator[Item]:
         """Remove and yield all items due by `now`, including those pushed meanwhile."""
         while self._heap and self._heap[0][0] <= now:
-            yield heapq.heappop(self._heap)[-1]
+            _, _, _, source, size, item = heapq.heappop(self._heap)
+            self._room.free(source, size)
+            yield item
 
     @property
     def due(self) -> int | None:
