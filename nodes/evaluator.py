@@ -22,10 +22,10 @@ from mast_zenoh.driving.actuation import HOLD_S, TAKE_OVER_S
 from mast_zenoh.effects import ReportedPose
 from mast_zenoh.errors import MessageError
 from mast_zenoh.evaluation import Evaluation, RunData, RunScoring, ego_of
-from mast_zenoh.evaluation.driven import ArrivedEstimate, Heard, OwnView
 from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth, TrueFrame
 from mast_zenoh.evaluation.driver_wires import PlayedDrivers, check_played, driver_ports, drivers_of
 from mast_zenoh.evaluation.estimate_wires import estimates_on
+from mast_zenoh.evaluation.run_data import ArrivedEstimate, Heard, OwnView
 from mast_zenoh.gather import plausible_rows
 from mast_zenoh.integrity.views import check_view, view_of
 from mast_zenoh.messages.schemas import Body

@@ -2,19 +2,96 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from mast_zenoh.driving import Command
+from mast_zenoh.driving.motion import RouteAhead
 from mast_zenoh.effects import Meter, ReportedPose
-from mast_zenoh.evaluation.driven import Heard
+from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth
 from mast_zenoh.evaluation.estimate_wires import Influences
+from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics import Presence, Record
+from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.metrics.trust import AGENT_COLUMNS, TrustUpdate
 
 _PERIOD_S = 0.1  #: assumed frame period of a run with a single frame
+
+
+class ArrivedEstimate(NamedTuple):
+    """An estimate as a driver received it.
+
+    about: the frame that it describes; time_ns: ns, of that frame; estimate: its name among those that are scored
+    """
+
+    about: int
+    time_ns: int
+    estimate: str
+    objects: Snapshot
+
+
+class OwnView(NamedTuple):
+    """What an agent's own sensor sees, as its driver received it; about, time_ns: as of an estimate."""
+
+    about: int
+    time_ns: int
+    view: SweptView
+
+
+Item = TypeVar("Item", ArrivedEstimate, OwnView)
+
+
+@dataclass
+class Heard:
+    """What the driver of one car received.
+
+    ports: on which it receives estimates and views; estimates: by port, those that arrived in each frame of the run
+    views: by frame of arrival; routes: by frame
+    commands: as they reached the car: the frame of arrival, and the command and its frame
+    wanted: m/s^2, by frame, the acceleration of the commands as they left the driver
+    left_out: ports whose messages a replay leaves out
+    on_truth: its driver as it would drive on the truth; None: not known
+    """
+
+    ports: set[str] = field(default_factory=set)
+    estimates: dict[str, dict[int, ArrivedEstimate]] = field(default_factory=lambda: defaultdict(dict))
+    views: dict[int, OwnView] = field(default_factory=dict)
+    routes: dict[int, RouteAhead] = field(default_factory=dict)
+    commands: list[tuple[int, int, Command]] = field(default_factory=list)
+    wanted: dict[int, float] = field(default_factory=dict)
+    left_out: set[str] = field(default_factory=set)
+    on_truth: DriverOnTruth | None = None
+
+    def add(self, port: str, step: int, arrival: ArrivedEstimate) -> None:
+        """Store an estimate that arrived in a frame of the run; of several the newest counts, as for the driver."""
+        _keep_newest(self.estimates[port], step, arrival)
+
+    def see(self, step: int, view: OwnView) -> None:
+        """Store a view that arrived in a frame of the run, as estimates are."""
+        _keep_newest(self.views, step, view)
+
+    def obey(self, step: int, frame: int, command: Command) -> None:
+        """Store a command of a frame that reached the car in a frame of the run."""
+        self.commands.append((step, frame, command))
+
+    def forget(self, before: int) -> None:
+        """Forget what was received before a frame of the run, except what may still be the newest in it."""
+        for port, arrivals in self.estimates.items():
+            self.estimates[port] = _since(arrivals, before)
+        self.views = _since(self.views, before)
+        self.routes = {frame: route for frame, route in self.routes.items() if frame >= before}
+        self.wanted = {frame: wanted for frame, wanted in self.wanted.items() if frame >= before}
+        self.commands = [command for command in self.commands if command[0] >= before]
+
+    @property
+    def has_veto(self) -> bool:
+        """Whether the agent's own sensors overrule its mission estimate: only then the driver receives views."""
+        return "view" in self.ports
 
 
 @dataclass
@@ -116,3 +193,16 @@ class RunData:
 def ego_of(agents: Sequence[str]) -> str:
     """The main agent of an evaluation: "ego" if there is one, else the first."""
     return "ego" if "ego" in agents else next(iter(agents), "")
+
+
+def _since(arrivals: Mapping[int, Item], first: int) -> dict[int, Item]:
+    """The arrivals from a frame on, and the one before it that may still be the newest in it."""
+    past = [step for step in arrivals if step < first]
+    newest = max(past, key=lambda step: (arrivals[step].about, -step), default=first)
+    return {step: item for step, item in arrivals.items() if step >= first or step == newest}
+
+
+def _keep_newest(arrivals: dict[int, Item], step: int, item: Item) -> None:
+    kept = arrivals.get(step)
+    if kept is None or item.about > kept.about:
+        arrivals[step] = item

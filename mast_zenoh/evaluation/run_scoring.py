@@ -206,7 +206,10 @@ class RunScoring:
                 name: Drive._make(column[rows] for column in drive)
                 for name, drive in driving.drives(settings.driving, data.record, scores, labels).items()
             },
-            driven={car: driven.part(rows, later) for car, driven in self._driven(assessment).cars().items()},
+            driven={
+                car: driven.part(rows, later)
+                for car, driven in DrivenCars(settings, assessment, self._take_over).cars().items()
+            },
             pictures=(
                 pictures,
                 frames[scored],
@@ -248,27 +251,6 @@ class RunScoring:
         if any(isinstance(metric, RunMetric) for metric in metrics):
             estimates = [EstimateColumns.of(row, scores, labels, counted, rows) for row in range(len(scores.series))]
         return {"own": own, "estimates": estimates}
-
-    def _driven(self, assessment: ScoredFrames) -> DrivenCars:
-        """The cars that drivers drove."""
-        data, settings = self.data, self.settings
-        return DrivenCars(
-            record=data.record,
-            scores=assessment.scores,
-            labels=assessment.labels,
-            effects=assessment.effects,
-            manipulations=assessment.manipulations,
-            roles=data.roles,
-            heard=data.heard,
-            ages_s=settings.estimate_ages_s,
-            take_over=self._take_over,
-            hold=round(settings.hold_s / data.period_s),
-            limits=settings.car_limits,
-            times_ns=data.times_ns,
-            period_s=data.period_s,
-            min_points=settings.scorer.min_points,
-            look=settings.driving,
-        )
 
     @property
     def _take_over(self) -> int:
