@@ -52,16 +52,17 @@ def insert(wiring: Wiring, node: str, place: InsertionPoint) -> Wiring:
     target = wires[place.wire]
     if node in parties(target):
         raise WiringError(f"{node} is already on the wire {target.key!r}: that would be a loop")
+    ends = Endpoint(node, place.input), Endpoint(node, place.output)
     if place.before:
         branch = _branch_of(target, place.before)
         taps = f"{target.key}/{TAP}/{place.before}"
-        extended = replace(branch, legs=_extended(target, branch.legs, taps, node, place))
-        branches = tuple(extended if known == branch else known for known in target.branches)
+        longer = replace(branch, legs=extended(target, branch.legs, taps, *ends))
+        branches = tuple(longer if known == branch else known for known in target.branches)
         wires[target.key] = replace(target, branches=branches)
     else:
         if len(target.legs) == 1:
             _check_source(target)
-        wires[target.key] = replace(target, legs=_extended(target, target.legs, f"{target.key}/{TAP}", node, place))
+        wires[target.key] = replace(target, legs=extended(target, target.legs, f"{target.key}/{TAP}", *ends))
     for key, port in place.other_inputs.items():
         *before, last = wires[key].legs
         heard = replace(last, subscribers=(*last.subscribers, Endpoint(node, port)))
@@ -85,16 +86,19 @@ def remove(wiring: Wiring, node: str) -> Wiring:
     if not any(node in interposers for interposers in interposers_of.values()):
         known = {name for interposers in interposers_of.values() for name in interposers}
         raise WiringError(f"no node {node!r} is on a wire{nearest(node, known) if known else ''}")
-    return replace(
-        wiring, wires=tuple(_without(wire, node) for wire in wiring.wires if wire.legs[0].publisher.node != node)
-    )
+    for wire in wiring.wires:
+        if any(node == branch.legs[0].publisher.node for branch in wire.branches):
+            raise WiringError(f"{node} begins the branch of one subscriber of {wire.key!r}: it cannot be released")
+        if len(wire.legs) > 1 and wire.legs[1].publisher.node == node:
+            _check_source(wire)
+    return never_inserted(wiring, (node,))
 
 
 def never_inserted(wiring: Wiring, nodes: Collection[str]) -> Wiring:
     """The wiring without some nodes: interposers, publishers or listeners."""
     return replace(
         wiring,
-        wires=tuple(_without_all(wire, nodes) for wire in wiring.wires if wire.legs[0].publisher.node not in nodes),
+        wires=tuple(_without(wire, nodes) for wire in wiring.wires if wire.legs[0].publisher.node not in nodes),
         overhearers=tuple(end for end in wiring.overhearers if end.node not in nodes),
     )
 
@@ -128,13 +132,12 @@ def parties(wire: Wire) -> set[str]:
     return {leg.publisher.node for leg in legs} | {end.node for leg in legs for end in wire.receivers(leg)}
 
 
-def _extended(wire: Wire, legs: tuple[Leg, ...], taps: str, node: str, place: InsertionPoint) -> tuple[Leg, ...]:
+def extended(wire: Wire, legs: tuple[Leg, ...], taps: str, entrance: Endpoint, exit_: Endpoint) -> tuple[Leg, ...]:
     """A trunk or a branch with a node at its end. taps: the keys of its tap legs, without their numbers"""
     *before, last = legs
     taken = {leg.key for leg in wire.every_leg}
     tap = next(key for i in range(len(taken) + 1) if (key := f"{taps}/{i}") not in taken)
-    into = Leg(tap, last.publisher, (Endpoint(node, place.input),))
-    return (*before, into, replace(last, publisher=Endpoint(node, place.output)))
+    return (*before, Leg(tap, last.publisher, (entrance,)), replace(last, publisher=exit_))
 
 
 def _branch_of(wire: Wire, subscriber: str) -> Branch:
@@ -151,34 +154,29 @@ def _branch_of(wire: Wire, subscriber: str) -> Branch:
     )
 
 
-def _without_all(wire: Wire, nodes: Collection[str]) -> Wire:
-    trunk = _shortened(wire.legs, nodes)
+def _without(wire: Wire, nodes: Collection[str]) -> Wire:
     branches, entrances = [], {}
     for branch in wire.branches:
-        hops = [branch.entrance, *(leg.subscribers[0] for leg in branch.legs)]
-        kept_legs = [i for i, leg in enumerate(branch.legs) if leg.publisher.node not in nodes]
-        entrances[branch.entrance] = hops[kept_legs[0]] if kept_legs else branch.subscriber
-        if kept_legs:  # each remaining node publishes on the key that the next one subscribes to
-            before = [i - 1 for i in (*kept_legs[1:], len(branch.legs))]
-            legs = [
-                replace(branch.legs[j], publisher=branch.legs[i].publisher)
-                for i, j in zip(kept_legs, before, strict=True)
-            ]
-            branches.append(Branch(hops[kept_legs[0]], branch.subscriber, tuple(legs)))
-    subscribers = tuple(entrances.get(end, end) for end in trunk[-1].subscribers)
-    last = replace(trunk[-1], subscribers=tuple(end for end in subscribers if end.node not in nodes))
+        ends = [branch.entrance, *(leg.subscribers[0] for leg in branch.legs)]
+        first = next((i for i, leg in enumerate(branch.legs) if leg.publisher.node not in nodes), len(branch.legs))
+        entrances[branch.entrance] = ends[first]
+        if first < len(branch.legs):
+            branches.append(Branch(ends[first], branch.subscriber, _shortened(branch.legs[first:], nodes)))
+    *before, last = _shortened(wire.legs, nodes)
+    subscribers = (entrances.get(end, end) for end in last.subscribers)
+    last = replace(last, subscribers=tuple(end for end in subscribers if end.node not in nodes))
     listeners = tuple(listener for listener in wire.listeners if listener.end.node not in nodes)
-    return replace(wire, legs=(*trunk[:-1], last), branches=tuple(branches), listeners=listeners)
+    return replace(wire, legs=(*before, last), branches=tuple(branches), listeners=listeners)
 
 
-def _shortened(trunk: tuple[Leg, ...], nodes: Collection[str]) -> list[Leg]:
-    """A trunk or a branch without some of its interposers."""
+def _shortened(chain: tuple[Leg, ...], nodes: Collection[str]) -> tuple[Leg, ...]:
+    """A trunk or a branch without some of its interposers, of which the first leg's publisher is none."""
     legs: list[Leg] = []
-    for leg in trunk:
+    for leg in chain:
         if leg.publisher.node in nodes:  # the leg before leads only to it
             leg = replace(leg, publisher=legs.pop().publisher)
         legs.append(leg)
-    return legs
+    return tuple(legs)
 
 
 def _check_source(wire: Wire) -> None:
@@ -189,19 +187,3 @@ def _check_source(wire: Wire) -> None:
             f"{names} listens at the source of {wire.key!r} and would need another key, but a subscriber keeps its key "
             "during a run: insert the first interposer at launch (PassThrough), and leave it there"
         )
-
-
-def _without(wire: Wire, node: str) -> Wire:
-    if any(node == branch.legs[0].publisher.node for branch in wire.branches):
-        raise WiringError(f"{node} begins the branch of one subscriber of {wire.key!r}: it cannot be released")
-    wire = replace(wire, listeners=tuple(listener for listener in wire.listeners if listener.end.node != node))
-    if len(wire.legs) > 1 and wire.legs[1].publisher.node == node:
-        _check_source(wire)
-    return replace(
-        wire,
-        legs=tuple(
-            replace(leg, subscribers=tuple(end for end in leg.subscribers if end.node != node))
-            for leg in _shortened(wire.legs, {node})
-        ),
-        branches=tuple(replace(branch, legs=tuple(_shortened(branch.legs, {node}))) for branch in wire.branches),
-    )

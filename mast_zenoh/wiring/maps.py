@@ -73,6 +73,7 @@ from mast_zenoh.errors import WiringError, nearest
 from mast_zenoh.messages.packed import CODECS
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.wiring.endpoints import OTHER, ROLES, NodeOptions, check_forwarding, members, ports
+from mast_zenoh.wiring.insertion import extended
 from mast_zenoh.wiring.model import (
     ANY,
     DIRECTIONS,
@@ -461,10 +462,7 @@ def insert(
         if subscriber is not None:
             wire = _on_branch(wire, entrance, exit_, subscriber)
         else:
-            *before, last = wire.legs
-            tap = f"{wire.key}/{TAP}/{len(before)}"
-            legs = (*before, Leg(tap, last.publisher, (entrance,)), Leg(wire.key, exit_, last.subscribers))
-            wire = replace(wire, legs=legs)
+            wire = replace(wire, legs=extended(wire, wire.legs, f"{wire.key}/{TAP}", entrance, exit_))
     return wire
 
 
