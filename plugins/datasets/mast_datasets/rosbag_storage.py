@@ -1,11 +1,10 @@
-"""Opens ROS 2 bags with rosbags, within limits of memory and time, and decodes their messages.
+"""Opens ROS 2 bags with rosbags, and decodes their messages.
 
-A bag may come from anybody. rosbags reads its files, but has no limits: reads, chunks and rows that are too large are
-refused here, before they are in memory. MCAP is read from front to back, chunk by chunk.
+A bag may come from anybody. rosbags reads its files, but has no limits: records, chunks and rows that are too large
+are refused here, before they are in memory. MCAP is read from front to back, chunk by chunk.
 
-Known types of a bag have the hash of ours, so bytes are never read with the fields of another version. Of own types,
-rosbags makes Python classes and functions, in whose code names of letters, digits and _ are all that is theirs; an
-element of an array is a line, so arrays have a limit.
+Types have the fields that the bag says. Of these, rosbags makes Python classes and functions, in whose code names of
+letters, digits and _ are all that is theirs; an element of an array is a line, so arrays have a limit.
 """
 
 from __future__ import annotations
@@ -14,39 +13,35 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from contextvars import ContextVar
 from functools import partial
 from io import BufferedReader, BytesIO, FileIO
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple, NoReturn, cast
+from typing import Annotated, Any, NamedTuple, cast
 
 import apsw
 import lz4.frame  # type: ignore[import-untyped]  # comes with rosbags, as apsw does
 import zstandard
 from mast_ros2 import type_store
+from msgspec import Meta
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Nodetype
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS, McapReader
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from mast_datasets.files import read_pieces, read_yaml
 from mast_zenoh.errors import ConfigurationError, MessageError, SceneError, nearest
 
 METADATA = "metadata.yaml"
-#: Limits on one message, and on one chunk or record of MCAP, bytes; clouds and images of unmapped topics are in chunks.
+#: Limits on one message, and on one record, chunk or row, bytes; clouds and images of unmapped topics are in chunks.
 MAX_MESSAGE_BYTES = 16 << 20
 MAX_CHUNK_BYTES = 256 << 20
-#: Limit on what the chunks of a file unpack to, in relation to its size, and bytes that are always allowed.
-_MAX_EXPANSION, _ALWAYS_BYTES = 200, 1 << 30
 #: Limits on the steps of SQLite's virtual machine: a damaged tree of pages can lead to the same page again and again.
 _STEPS_ALWAYS, _STEPS_PER_BYTE, _STEPS_AT_ONCE = 10_000_000, 40, 100_000
-_MAX_FILES = 10_000
 _MAX_NAME = 1000
 _LISTED = 100  # topics in a message
-
-#: Bytes that chunks of the bag being read may unpack to; None: others use rosbags.
-_unpackable: ContextVar[int | None] = ContextVar("_unpackable", default=None)
+_FileNames = Annotated[list[str], Meta(min_length=1, max_length=10_000)]
 
 
 def _unpack(kind: str, data: bytes, most: int) -> bytes:
@@ -57,10 +52,8 @@ def _unpack(kind: str, data: bytes, most: int) -> bytes:
 
 
 def _unpack_chunk(kind: str, data: bytes, size: int) -> bytes:
-    if (remaining := _unpackable.get()) is not None:
-        _unpackable.set(remaining - size)
-        if size > min(remaining, MAX_CHUNK_BYTES):
-            raise ReaderError(f"found a chunk of {size} bytes unpacked, or chunks that unpack to too many bytes in all")
+    if size > MAX_CHUNK_BYTES:
+        raise ReaderError(f"found a chunk of {size} bytes unpacked, expected at most {MAX_CHUNK_BYTES}")
     return _unpack(kind, data, size)
 
 
@@ -85,42 +78,19 @@ class _BoundedPath(type(Path())):  # type: ignore[misc]  # the class of this sys
 
 
 class Bag(NamedTuple):
-    """An open bag. path: as it was given; readers: of its files, in order; packed: whether messages are, by zstd
+    """An open bag. path: as it was given; readers: of its files, in order
 
     All methods raise SceneError with the file.
     """
 
     path: Path
     readers: tuple[Reader, ...]
-    packed: bool
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[Connection, int, bytes]]:
         """The messages of some topics, file by file: connection, time of recording ns, and payload."""
         for reader in self.readers:
-            wanted = [connection for connection in reader.connections if connection.topic in topics]
-            found: Counter[int] = Counter()
-            for connection in wanted:
-                encoding = cast("ConnectionExtRosbag2", connection.ext).serialization_format
-                if encoding != "cdr":
-                    _refuse(reader.path, f"{connection.topic}: found messages encoded as {encoding!r}, expected cdr")
-            try:
-                read = reader.storage.messages_scan if isinstance(reader.storage, McapReader) else reader.messages
-                for connection, received_ns, payload in read(wanted) if wanted else ():
-                    if not isinstance(received_ns, int) or not isinstance(payload, bytes):
-                        raise ReaderError(f"{connection.topic}: found a message that is no bytes with a whole time")
-                    payload = _unpack("zstd", payload, MAX_MESSAGE_BYTES) if self.packed else payload
-                    if len(payload) > MAX_MESSAGE_BYTES:
-                        raise ReaderError(f"{connection.topic}: a message has more than {MAX_MESSAGE_BYTES} bytes")
-                    found[connection.id] += 1
-                    yield connection, received_ns, payload
-            except SceneError:
-                raise
-            except Exception as error:  # damaged files make it raise anything
-                _refuse(reader.path, error)
-            for connection in wanted:
-                if found[connection.id] != connection.msgcount:
-                    number = f"found {found[connection.id]} messages, expected {connection.msgcount}"
-                    _refuse(reader.path, f"{connection.topic}: {number}: the file is damaged")
+            with _reading(reader.path):
+                yield from _messages(reader, [each for each in reader.connections if each.topic in topics])
 
     def topics(self) -> dict[str, tuple[str, int]]:
         """Type and number of messages of every topic, by name."""
@@ -138,6 +108,39 @@ class Bag(NamedTuple):
         return f"{len(topics)} topics (name, type, messages):{listed}"
 
 
+def _messages(reader: Reader, wanted: list[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+    """The messages of some connections of a file. Raises ReaderError for those that cannot be, or are too few."""
+    found: Counter[int] = Counter()
+    for connection in wanted:
+        encoding = cast("ConnectionExtRosbag2", connection.ext).serialization_format
+        if encoding != "cdr":
+            raise ReaderError(f"{connection.topic}: found messages encoded as {encoding!r}, expected cdr")
+    read = reader.storage.messages_scan if isinstance(reader.storage, McapReader) else reader.messages
+    for connection, received_ns, payload in read(wanted) if wanted else ():
+        if not isinstance(received_ns, int) or not isinstance(payload, bytes):
+            raise ReaderError(f"{connection.topic}: found a message that is no bytes with a whole time")
+        if payload.startswith(zstandard.FRAME_HEADER):  # CDR begins with 0
+            payload = _unpack("zstd", payload, MAX_MESSAGE_BYTES)
+        if len(payload) > MAX_MESSAGE_BYTES:
+            raise ReaderError(f"{connection.topic}: a message has more than {MAX_MESSAGE_BYTES} bytes")
+        found[connection.id] += 1
+        yield connection, received_ns, payload
+    for connection in wanted:
+        if found[connection.id] != connection.msgcount:
+            number = f"found {found[connection.id]} messages, expected {connection.msgcount}"
+            raise ReaderError(f"{connection.topic}: {number}: the file is damaged")
+
+
+@contextmanager
+def _reading(file: object) -> Iterator[None]:
+    """Raise SceneError with the file for whatever a damaged one makes rosbags raise."""
+    try:
+        yield
+    except Exception as error:
+        words = " ".join(str(error).split()) or type(error).__name__
+        raise SceneError(f"{file}: cannot be read as a bag: {words:.300}") from error
+
+
 @contextmanager
 def open_bag(path: Path, max_unpacked_mb: float) -> Iterator[Bag]:
     """Open a bag: a file of either storage, or a folder with metadata.yaml.
@@ -147,66 +150,47 @@ def open_bag(path: Path, max_unpacked_mb: float) -> Iterator[Bag]:
     Raises SceneError for a file that is missing, outside the folder, a link, or that rosbags cannot read.
     """
     with ExitStack() as opened:
-        files, mode = ([path], "") if path.is_file() else _listed_files(path)
-        if mode == "file":
-            folder = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="mast-bag-")))
-            files = _unpack_files(files, folder, max_unpacked_mb)
-        limit = _ALWAYS_BYTES + _MAX_EXPANSION * sum(file.stat().st_size for file in files)
-        opened.callback(_unpackable.reset, _unpackable.set(limit))
+        folder = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="mast-bag-")))
         readers = []
-        for file in files:
-            for journal in (file.with_name(f"{file.name}-{kind}") for kind in ("wal", "journal")):
-                # One that is kept for the next change begins with 0.
-                if journal.is_file() and next(read_pieces(journal), b"\0")[:1] != b"\0":
-                    _refuse(journal, "found a change that is not in the bag, expected a bag that was closed")
-            steps = (_STEPS_ALWAYS + _STEPS_PER_BYTE * file.stat().st_size) // _STEPS_AT_ONCE
-            apsw.connection_hooks.append(partial(_limit, steps))
-            try:
-                reader = opened.enter_context(Reader(_BoundedPath(file)))
-                for name in (
-                    each for found in reader.connections for each in (found.topic, found.msgtype, found.digest)
-                ):
-                    if not isinstance(name, str) or len(name) > _MAX_NAME:
-                        raise ReaderError(f"found a name of a topic or type that is no text of {_MAX_NAME} characters")
-                readers.append(reader)
-            except Exception as error:  # damaged files make it raise anything
-                _refuse(file, error)
-            finally:
-                apsw.connection_hooks.pop()
-        yield Bag(path, tuple(readers), mode == "message")
+        for file in _unpacked(_files(path), folder, max_unpacked_mb):
+            with _reading(file), _limited(file):
+                for journal in (file.with_name(f"{file.name}-{kind}") for kind in ("wal", "journal")):
+                    # One that is kept for the next change begins with 0.
+                    if journal.is_file() and next(read_pieces(journal), b"\0")[:1] != b"\0":
+                        raise ReaderError(f"{journal.name} has a change that is not in the bag, expected a closed bag")
+                readers.append(opened.enter_context(Reader(_BoundedPath(file))))
+                for each in readers[-1].connections:
+                    for name in (each.topic, each.msgtype, each.digest):
+                        if not isinstance(name, str) or len(name) > _MAX_NAME:
+                            raise ReaderError(f"found a name of a topic that is no text of {_MAX_NAME} characters")
+        yield Bag(path, tuple(readers))
 
 
-def _refuse(place: Any, reason: object) -> NoReturn:
-    words = " ".join(str(reason).split()) or type(reason).__name__
-    raise SceneError(
-        f"{place}: cannot be read as a bag: {words:.300}" if isinstance(reason, Exception) else f"{place}: {words}"
-    )
+@contextmanager
+def _limited(file: Path) -> Iterator[None]:
+    """Bound the rows and the time of the databases that are opened, and run no SQL that is in them. file: its size"""
+    steps = iter(range((_STEPS_ALWAYS + _STEPS_PER_BYTE * file.stat().st_size) // _STEPS_AT_ONCE))
+
+    def limit(connection: apsw.Connection) -> None:
+        connection.limit(apsw.SQLITE_LIMIT_LENGTH, MAX_CHUNK_BYTES)
+        connection.config(apsw.SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0)
+        connection.set_progress_handler(lambda: next(steps, None) is None, _STEPS_AT_ONCE)
+
+    apsw.connection_hooks.append(limit)
+    try:
+        yield
+    finally:
+        apsw.connection_hooks.remove(limit)
 
 
-def _limit(steps: int, connection: apsw.Connection) -> None:
-    """Bound the rows and the time of a database, and run no SQL that is in it."""
-    remaining = iter(range(steps))
-    connection.limit(apsw.SQLITE_LIMIT_LENGTH, MAX_CHUNK_BYTES)
-    connection.config(apsw.SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0)
-    connection.set_progress_handler(lambda: next(remaining, None) is None, _STEPS_AT_ONCE)
-
-
-def _listed_files(path: Path) -> tuple[list[Path], str]:
-    """The files that the metadata of a bag names, and what is compressed by zstd: "", "file" or "message"."""
+def _files(path: Path) -> list[Path]:
+    """The files of a bag, those of a folder as its metadata names them."""
+    if path.is_file():
+        return [path]
     if not path.is_dir():
         raise SceneError(f"{path}: no such file or folder, expected a ROS 2 bag")
-    information = read_yaml(_plain(path / METADATA))["rosbag2_bagfile_information"]
-    names = information["relative_file_paths"].elements()
-    if not 0 < len(names) <= _MAX_FILES:
-        information["relative_file_paths"].fail(f"1 to {_MAX_FILES} names of files")
-    mode = information.get("compression_mode")
-    how = "" if mode is None else mode.text().lower()
-    if mode is not None and how not in ("", "none", "file", "message"):
-        mode.fail("none, file or message")
-    if how in ("file", "message"):
-        information["compression_format"].text(("zstd",))
-    # Old versions write the folder before a name.
-    return [_plain(path / PurePosixPath(name.text().replace("\0", "")).name) for name in names], how
+    names = read_yaml(_plain(path / METADATA))["rosbag2_bagfile_information"]["relative_file_paths"].read(_FileNames)
+    return [_plain(path / PurePosixPath(name).name) for name in names]  # old versions write the folder before a name
 
 
 def _plain(path: Path) -> Path:
@@ -217,20 +201,23 @@ def _plain(path: Path) -> Path:
     return path
 
 
-def _unpack_files(files: list[Path], folder: Path, max_unpacked_mb: float) -> list[Path]:
-    """Unpack files into a folder. Raises SceneError as soon as they exceed the limit."""
-    remaining, unpacked = max_unpacked_mb * 1e6, []
+def _unpacked(files: list[Path], folder: Path, max_unpacked_mb: float) -> Iterator[Path]:
+    """The files; those compressed by zstd are unpacked into a folder. Raises SceneError when they exceed the limit."""
+    remaining = max_unpacked_mb * 1e6
     for index, file in enumerate(files):
-        unpacked.append(folder / f"{index}{Path(file.stem).suffix}")
+        if file.suffix != ".zstd":
+            yield file
+            continue
+        target = folder / f"{index}{Path(file.stem).suffix}"
         try:
-            with file.open("rb") as source, unpacked[-1].open("wb") as target:
+            with file.open("rb") as source, target.open("wb") as unpacked:
                 for piece in zstandard.ZstdDecompressor(max_window_size=1 << 27).read_to_iter(source):
-                    remaining -= target.write(piece)
+                    remaining -= unpacked.write(piece)
                     if remaining < 0:
                         raise SceneError(f"{file}: unpacks to more than {max_unpacked_mb:g} MB (max_unpacked_mb)")
         except (OSError, zstandard.ZstdError) as error:
             raise SceneError(f"{file}: cannot be unpacked: {error}") from error
-    return unpacked
+        yield target
 
 
 #: Makes a message of a payload; raises MessageError for bytes that are none.
@@ -241,63 +228,84 @@ Fields = dict[str, Any]
 Steps = tuple[str | int, ...]
 
 _MAX_DEFINITION = 200_000  # characters
-_MAX_ARRAYS = 1000  # elements of all arrays in a type that are no numbers
+_MAX_ARRAYS = 1000  # elements of all arrays in a definition that are no numbers
 
 
 def parse_definition(name: str, text: str) -> Fields:
-    """The fields of a type, and of types in it, from a `.msg` text. Raises ValueError for a text that is none."""
+    """The fields of a type, and of types in it, from a `.msg` text.
+
+    Raises ValueError for a text that is none, and for arrays that are too long, or empty: every element takes a byte at
+    least, so the work is bounded by the size of the message.
+    """
     if len(text) > _MAX_DEFINITION:
         raise ValueError(f"a definition of {len(text)} characters, expected at most {_MAX_DEFINITION}")
     try:
-        return {kind: ([], fields) for kind, (_, fields) in get_types_from_msg(text, name).items()}
+        types = get_types_from_msg(text, name)
     except Exception as error:  # of the parser, which raises many kinds
         words = " ".join(str(error).split())
         raise ValueError(f"the definition of {name!r:.120} cannot be read: {words:.200}") from None
+    elements = 0
+    for kind, (_, fields) in types.items():
+        for _, field in fields:
+            if field[0] == Nodetype.ARRAY:
+                inner, length = field[1]
+                elements += length if inner[0] == Nodetype.NAME or inner[1][0] == "string" else 0
+                if length < 1 or elements > _MAX_ARRAYS:
+                    raise ValueError(f"{kind} has a list of {length} elements, expected 1 to {_MAX_ARRAYS} in all")
+    return {kind: ([], fields) for kind, (_, fields) in types.items()}
 
 
-def _defined(connection: Connection) -> Fields:
-    definition = connection.msgdef
+def _store(connection: Connection, of_map: Fields) -> Typestore:
+    """A store with the types that the map defines, then those that the bag defines for a topic, then ours."""
+    store, definition = get_typestore(Stores.EMPTY), connection.msgdef
     is_text = definition.format == MessageDefinitionFormat.MSG
-    return parse_definition(connection.msgtype, definition.data) if is_text else {}
+    own = {**(parse_definition(connection.msgtype, definition.data) if is_text else {}), **of_map}
+    store.max_sequence_length = type_store.MOST_ELEMENTS
+    store.types |= type_store.STORE.types
+    store.fielddefs |= {name: fields for name, fields in type_store.STORE.fielddefs.items() if name not in own}
+    store.register(own)
+    return store
+
+
+@contextmanager
+def _compiling(place: str, connection: Connection) -> Iterator[None]:
+    """Raise ConfigurationError if a type is not defined, and SceneError for one that cannot be. place: of the bag"""
+    where = f"{place}: {connection.topic}"
+    try:
+        yield
+    except KeyError as error:
+        expected = f"expected one under `types` of the map{nearest(str(error.args[0]), list(type_store.TYPES))}"
+        raise ConfigurationError(f"{where}: the bag has no definition of {error}: {expected}") from None
+    except Exception as error:  # of rosbags, and of definitions
+        raise SceneError(f"{where}: {connection.msgtype!r:.120} cannot be read: {error!s:.200}") from None
 
 
 def known_decoder(place: str, connection: Connection) -> Decode:
     """How to decode a type that is known. Raises SceneError if the bag has another version of it. place: of the bag"""
-    name, store = connection.msgtype, get_typestore(Stores.EMPTY)
-    try:
-        store.fielddefs = _defined(connection)
-        theirs = {connection.digest, store.hash_rihs01(name) if store.fielddefs else ""}
-    except Exception as error:  # a definition may lack types, or contain itself
-        raise SceneError(f"{place}: {connection.topic}: {error!s:.300}") from None
-    if others := theirs - {"", type_store.type_hash(name)}:
+    name, expected = connection.msgtype, type_store.type_hash(connection.msgtype)
+    with _compiling(place, connection):
+        found = {connection.digest, _store(connection, {}).hash_rihs01(name)}
+    if others := found - {"", expected}:
         raise SceneError(
             f"{place}: {connection.topic}: the bag has another version of {name}: found the hash "
-            f"{', '.join(sorted(others)):.200}, expected {type_store.type_hash(name)}; `fields` in the map reads any"
+            f"{', '.join(sorted(others)):.200}, expected {expected}; `fields` in the map reads any"
         )
-    return lambda payload: type_store.decode(name, payload)
+    return partial(type_store.decode, name)
 
 
 class OwnType:
     """A type that is read by its definition, with attributes for its fields.
 
-    place: of the bag, for messages;  of_map: fields of the types that the map defines, by name; they take precedence
+    place: of the bag, for messages;  of_map: fields of types that the map defines, by name; they take precedence
 
-    Raises ConfigurationError if neither the map nor the bag defines the type, and SceneError for a definition that is
-    none.
+    Raises ConfigurationError if a type is not defined, and SceneError for a definition that is none.
     """
 
     def __init__(self, place: str, connection: Connection, of_map: Fields) -> None:
-        self._name, self._store = connection.msgtype, get_typestore(Stores.EMPTY)
-        self._store.max_sequence_length = type_store.MOST_ELEMENTS
-        try:
-            known = {**type_store.STORE.fielddefs, **_defined(connection), **of_map}
-            self._store.register(_needed(f"{place}: {connection.topic}", self._name, known))
+        self._name = connection.msgtype
+        with _compiling(place, connection):
+            self._store = _store(connection, of_map)
             self._store.get_msgdef(self._name)
-        except ConfigurationError:
-            raise
-        except Exception as error:  # of rosbags, for a type that cannot be
-            name = f"{place}: {connection.topic}: {self._name!r:.120}"
-            raise SceneError(f"{name} cannot be read: {error!s:.200}") from None
 
     def decode(self, payload: bytes) -> Any:
         """The message of a payload. Raises MessageError for bytes that are none."""
@@ -331,28 +339,3 @@ class OwnType:
                 raise ValueError(f"{where}: found no {step!r}, expected one of {known}{nearest(str(step), fields)}")
             kind, detail = fields[step]
         return kind, detail
-
-
-def _needed(place: str, name: str, known: Fields) -> Fields:
-    """The fields of a type, and of all types in it.
-
-    Raises ConfigurationError for a type that is not defined, and ValueError for arrays that are too long, or empty:
-    every element takes a byte at least, so the work is bounded by the size of the message.
-    """
-    needed: Fields = {}
-    missing, elements = [name], 0
-    while missing:
-        kind = missing.pop()
-        if kind not in known:
-            expected = f"expected one under `types` of the map{nearest(kind, list(known))}"
-            raise ConfigurationError(f"{place}: the bag has no definition of {kind!r:.120}: {expected}")
-        needed[kind] = known[kind]
-        for _, (node, detail) in known[kind][1]:
-            inner, length = ((node, detail), 1) if node in (Nodetype.BASE, Nodetype.NAME) else detail
-            if node == Nodetype.ARRAY:
-                elements += length if inner[0] == Nodetype.NAME or inner[1][0] == "string" else 0
-                if length < 1 or elements > _MAX_ARRAYS:
-                    raise ValueError(f"{kind} has a list of {length} elements, expected 1 to {_MAX_ARRAYS} in all")
-            if inner[0] == Nodetype.NAME and inner[1] not in needed:
-                missing.append(inner[1])
-    return needed
