@@ -12,7 +12,7 @@ from itertools import chain, count
 from typing import Any
 
 from mast_ros2.participant import Participant, Publisher
-from mast_ros2.qos import TRANSIENT_LOCAL, Qos
+from mast_ros2.qos import Qos
 from mast_ros2.run_messages import MARKERS, RunMessages
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.runs.frame import Frame
@@ -23,7 +23,7 @@ from mast_zenoh.runs.run import Run
 log = logging.getLogger("mast.ros2")
 
 NODE = "mast_bridge"
-_ONE_MESSAGE = Qos(durability=TRANSIENT_LOCAL, depth=1)
+_ONE_MESSAGE = Qos(transient_local=True, depth=1)
 #: s, from a topic's last subscription on, in which a loss of the link must be noticed to be the reason for its end.
 _LOSS_S = 2.0
 
@@ -55,7 +55,7 @@ class Ros2Bridge:
         self._participant = participant
         try:
             self._publishers: dict[str, Publisher] = {
-                name: participant.publisher(name, kind, _ONE_MESSAGE if transient_local else None)
+                name: participant.publisher(name, kind, _ONE_MESSAGE if transient_local else Qos())
                 for name, kind, transient_local in self.messages.topics
             }
         except ValueError as error:

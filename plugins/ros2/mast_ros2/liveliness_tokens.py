@@ -9,22 +9,21 @@ Peers from Lyrical 0.10.5 may add one more chunk after the quality of service. I
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from mast_ros2.data_keys import DataKey
 from mast_ros2.names import (
+    NO_HASH,
     check_domain,
     check_namespace,
     check_node_name,
     dds_type,
     demangle,
-    domain_of_chunk,
     hash_chunk,
-    hash_of_chunk,
     mangle,
     type_of_dds,
 )
-from mast_ros2.qos import Qos, parse_qos
+from mast_ros2.qos import Qos
 from mast_zenoh.errors import MessageError
 
 _ADMIN_SPACE = "@ros2_lv"
@@ -35,7 +34,7 @@ _KINDS = {code: kind for kind, code in ENDPOINTS.items()}
 
 _NODE_CHUNKS, _ENDPOINT_CHUNKS = 9, 13
 _SESSION = re.compile(r"[0-9a-f]{1,32}")
-_INDEX = re.compile(r"0|[1-9][0-9]{0,18}")
+_NUMBER = re.compile(r"0|[1-9][0-9]{0,18}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +84,7 @@ class EndpointToken:
     number:    of the endpoint in its session
     kind:      of ENDPOINTS
     topic, type_name, type_hash: as `DataKey`
-    qos:       quality of service
+    qos:       quality of service, as `Qos.write` writes it
 
     Raises ValueError for names, numbers and hashes that are not allowed.
     """
@@ -96,7 +95,7 @@ class EndpointToken:
     topic: str
     type_name: str
     type_hash: str | None
-    qos: Qos = field(default_factory=Qos)
+    qos: str = Qos().write()
 
     def __post_init__(self) -> None:
         if self.kind not in ENDPOINTS:
@@ -113,7 +112,7 @@ class EndpointToken:
     def write(self) -> str:
         """The key of the token."""
         node = self.node.chunks(self.number, ENDPOINTS[self.kind])
-        return f"{node}/{mangle(self.topic)}/{dds_type(self.type_name)}/{hash_chunk(self.type_hash)}/{self.qos.write()}"
+        return f"{node}/{mangle(self.topic)}/{dds_type(self.type_name)}/{hash_chunk(self.type_hash)}/{self.qos}"
 
 
 #: The key expression of the tokens of all domains.
@@ -147,7 +146,7 @@ def _parse(chunks: list[str]) -> NodeToken | EndpointToken:
         raise MessageError("found an empty chunk, expected none")
     domain, session, number, own_number, code = chunks[1:6]
     enclave, namespace, name = map(demangle, chunks[6:_NODE_CHUNKS])
-    node = NodeToken(domain_of_chunk(domain), session, _index(number), name, namespace, enclave)
+    node = NodeToken(_number(domain), session, _number(number), name, namespace, enclave)
     if code == _NODE:
         if own_number != number:
             raise MessageError(f"found the numbers {number} and {own_number} of one node, expected equal ones")
@@ -159,16 +158,16 @@ def _parse(chunks: list[str]) -> NodeToken | EndpointToken:
     topic, dds_name, type_hash, qos = chunks[_NODE_CHUNKS:_ENDPOINT_CHUNKS]
     return EndpointToken(
         node,
-        _index(own_number),
+        _number(own_number),
         _KINDS[code],
         demangle(topic),
         type_of_dds(dds_name),
-        hash_of_chunk(type_hash),
-        parse_qos(qos),
+        None if type_hash == NO_HASH else type_hash,
+        qos,
     )
 
 
-def _index(chunk: str) -> int:
-    if not _INDEX.fullmatch(chunk):
-        raise MessageError(f"found {chunk!r:.40}, expected the number of an entity")
+def _number(chunk: str) -> int:
+    if not _NUMBER.fullmatch(chunk):
+        raise MessageError(f"found {chunk!r:.40}, expected a whole number")
     return int(chunk)

@@ -19,7 +19,6 @@ _LONGEST_TOPIC = 247  # of rmw's validation
 _TYPE = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Z][A-Za-z0-9_]*)")
 _DDS_TYPE = re.compile(r"([a-z][a-z0-9_]*)::(msg|srv|action)::dds_::([A-Z][A-Za-z0-9_]*)_")
 _HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
-_DOMAIN = re.compile(r"0|[1-9][0-9]{0,9}")
 
 
 def ros2_name(name: str) -> str:
@@ -100,24 +99,8 @@ def hash_chunk(type_hash: str | None) -> str:
     return NO_HASH if type_hash is None else type_hash
 
 
-def hash_of_chunk(chunk: str) -> str | None:
-    """The hash in a chunk of keys and tokens, None: the peer has none; raises MessageError for another form."""
-    if chunk != NO_HASH and not _HASH.fullmatch(chunk):
-        raise MessageError(
-            f"type hash {chunk!r:.120}: expected RIHS01_ and 64 hexadecimal digits, or {NO_HASH}, which Humble writes"
-        )
-    return None if chunk == NO_HASH else chunk
-
-
 def check_domain(domain: int) -> int:
     """`domain`, a ROS_DOMAIN_ID; raises ValueError if it is none."""
     if not 0 <= domain <= MOST_DOMAIN:
         raise ValueError(f"domain {domain!r}: expected 0 to {MOST_DOMAIN}")
     return domain
-
-
-def domain_of_chunk(chunk: str) -> int:
-    """The domain in a chunk of keys and tokens; raises MessageError for another form."""
-    if not _DOMAIN.fullmatch(chunk) or int(chunk) > MOST_DOMAIN:
-        raise MessageError(f"domain {chunk!r:.120}: expected a whole number from 0 to {MOST_DOMAIN}")
-    return int(chunk)

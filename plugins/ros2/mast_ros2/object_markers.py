@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from mast_ros2 import type_store
 from mast_ros2.spatial import header, poses, vectors
-from mast_ros2.type_store import TYPES, RosMessage
+from mast_ros2.type_store import TYPES, RosMessage, package
 from mast_zenoh.arrays.geometry import scalar_last_quaternions
 from mast_zenoh.arrays.states import ObjectStates
 
@@ -16,15 +16,11 @@ CUBE, ADD, DELETE_ALL = 1, 0, 3
 #: Of boxes: what is behind them stays visible.
 _OPACITY = 0.6
 
-_Marker, _MeshFile = (TYPES[f"visualization_msgs/msg/{name}"] for name in ("Marker", "MeshFile"))
-_Colour = TYPES["std_msgs/msg/ColorRGBA"]
-_Duration, _Image = TYPES["builtin_interfaces/msg/Duration"], TYPES["sensor_msgs/msg/CompressedImage"]
-_Vector, _Point, _Quaternion, _Pose = (
-    TYPES[f"geometry_msgs/msg/{name}"] for name in ("Vector3", "Point", "Quaternion", "Pose")
-)
+_shown, _geometry, _interfaces = map(package, ("visualization_msgs", "geometry_msgs", "builtin_interfaces"))
+_Colour, _Image = TYPES["std_msgs/msg/ColorRGBA"], TYPES["sensor_msgs/msg/CompressedImage"]
 
 _NO_BYTES = np.zeros(0, np.uint8)
-_NOWHERE = _Pose(_Point(0.0, 0.0, 0.0), _Quaternion(0.0, 0.0, 0.0, 1.0))
+_NOWHERE = _geometry.Pose(_geometry.Point(0.0, 0.0, 0.0), _geometry.Quaternion(0.0, 0.0, 0.0, 1.0))
 
 
 def marker_array(states: ObjectStates, colours: NDArray[np.int64], time_ns: int, frame_id: str) -> RosMessage:
@@ -35,7 +31,7 @@ def marker_array(states: ObjectStates, colours: NDArray[np.int64], time_ns: int,
     Raises ValueError for a time that ROS cannot express.
     """
     of_all = header(time_ns, frame_id)
-    markers = [_marker(of_all, 0, DELETE_ALL, _NOWHERE, _Vector(0.0, 0.0, 0.0), _Colour(0.0, 0.0, 0.0, 0.0))]
+    markers = [_marker(of_all, 0, DELETE_ALL, _NOWHERE, _geometry.Vector3(0.0, 0.0, 0.0), _Colour(0.0, 0.0, 0.0, 0.0))]
     for number, pose, size, colour in zip(
         states.id.tolist(),
         poses(states.position, scalar_last_quaternions(states.yaw)),
@@ -52,7 +48,7 @@ def _marker(
     of_all: RosMessage, number: int, action: int, pose: RosMessage, size: RosMessage, colour: RosMessage
 ) -> RosMessage:
     """A box; all fields of other markers are empty."""
-    return _Marker(
+    return _shown.Marker(
         header=of_all,
         ns="",
         id=number,
@@ -61,7 +57,7 @@ def _marker(
         pose=pose,
         scale=size,
         color=colour,
-        lifetime=_Duration(0, 0),
+        lifetime=_interfaces.Duration(0, 0),
         frame_locked=False,
         points=[],
         colors=[],
@@ -70,6 +66,6 @@ def _marker(
         uv_coordinates=[],
         text="",
         mesh_resource="",
-        mesh_file=_MeshFile("", _NO_BYTES),
+        mesh_file=_shown.MeshFile("", _NO_BYTES),
         mesh_use_embedded_materials=False,
     )

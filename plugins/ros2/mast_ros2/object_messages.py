@@ -12,7 +12,7 @@ import numpy as np
 from mast_ros2 import type_store
 from mast_ros2.object_ids import uuids
 from mast_ros2.spatial import duration, header, poses, turned, upper_left, vectors
-from mast_ros2.type_store import TYPES, RosMessage
+from mast_ros2.type_store import TYPES, RosMessage, package
 from mast_zenoh.arrays.geometry import rotation_from_quaternion, scalar_last_quaternions
 from mast_zenoh.arrays.states import CLASSES, Detections, Floats, ObjectStates
 
@@ -36,38 +36,11 @@ HORIZON_S, STEP_S = 10.0, 0.5
 _STANDSTILL = 0.1
 _LABELS = [AUTOWARE_LABELS[name] for name in CLASSES]
 
-_Hypothesis, _HypothesisWithPose, _Box, _Detection = (
-    TYPES[f"vision_msgs/msg/{name}"]
-    for name in ("ObjectHypothesis", "ObjectHypothesisWithPose", "BoundingBox3D", "Detection3D")
-)
-_PoseWithCovariance, _TwistWithCovariance, _AccelWithCovariance, _Twist, _Accel, _Vector, _Polygon = (
-    TYPES[f"geometry_msgs/msg/{name}"]
-    for name in (
-        "PoseWithCovariance",
-        "TwistWithCovariance",
-        "AccelWithCovariance",
-        "Twist",
-        "Accel",
-        "Vector3",
-        "Polygon",
-    )
-)
+_vision, _geometry, _autoware = map(package, ("vision_msgs", "geometry_msgs", "autoware_perception_msgs"))
 _Uuid = TYPES["unique_identifier_msgs/msg/UUID"]
-_Classification, _Shape, _Path, _TrackedKinematics, _Tracked, _PredictedKinematics, _Predicted = (
-    TYPES[f"autoware_perception_msgs/msg/{name}"]
-    for name in (
-        "ObjectClassification",
-        "Shape",
-        "PredictedPath",
-        "TrackedObjectKinematics",
-        "TrackedObject",
-        "PredictedObjectKinematics",
-        "PredictedObject",
-    )
-)
 
-_ZERO = _Vector(0.0, 0.0, 0.0)
-_NO_ACCELERATION = _AccelWithCovariance(_Accel(_ZERO, _ZERO), np.zeros(36))
+_ZERO = _geometry.Vector3(0.0, 0.0, 0.0)
+_NO_ACCELERATION = _geometry.AccelWithCovariance(_geometry.Accel(_ZERO, _ZERO), np.zeros(36))
 
 
 def states_of(detections: Detections) -> ObjectStates:
@@ -100,8 +73,8 @@ def detection_array(states: ObjectStates, time_ns: int, frame_id: str) -> RosMes
         vectors(states.size),
         strict=True,
     ):
-        hypothesis = _HypothesisWithPose(_Hypothesis(CLASSES[kind], score), pose)
-        result.append(_Detection(of_all, [hypothesis], _Box(pose.pose, size), str(number)))
+        hypothesis = _vision.ObjectHypothesisWithPose(_vision.ObjectHypothesis(CLASSES[kind], score), pose)
+        result.append(_vision.Detection3D(of_all, [hypothesis], _vision.BoundingBox3D(pose.pose, size), str(number)))
     return TYPES[type_store.DETECTIONS](of_all, result)
 
 
@@ -112,10 +85,10 @@ def tracked_objects(states: ObjectStates, time_ns: int, frame_id: str) -> RosMes
     """
     moving = (np.linalg.norm(states.velocity, axis=1) >= _STANDSTILL).tolist()
     kinematics = [
-        _TrackedKinematics(pose, twist, _NO_ACCELERATION, ORIENTATION_AVAILABLE, not moves)
+        _autoware.TrackedObjectKinematics(pose, twist, _NO_ACCELERATION, ORIENTATION_AVAILABLE, not moves)
         for pose, twist, moves in zip(_poses_with_covariance(states), _twists(states), moving, strict=True)
     ]
-    objects = [_Tracked(*parts) for parts in _autoware_parts(states, kinematics)]
+    objects = [_autoware.TrackedObject(*parts) for parts in _autoware_parts(states, kinematics)]
     return TYPES[type_store.TRACKED_OBJECTS](header(time_ns, frame_id), objects)
 
 
@@ -136,19 +109,22 @@ def predicted_objects(
     on_paths = poses(places.reshape(-1, 3), turns)
     step = duration(round(step_s * 1e9))
     kinematics = [
-        _PredictedKinematics(
-            pose, twist, _NO_ACCELERATION, [_Path(on_paths[k * len(ahead_s) : (k + 1) * len(ahead_s)], step, 1.0)]
+        _autoware.PredictedObjectKinematics(
+            pose,
+            twist,
+            _NO_ACCELERATION,
+            [_autoware.PredictedPath(on_paths[k * len(ahead_s) : (k + 1) * len(ahead_s)], step, 1.0)],
         )
         for k, (pose, twist) in enumerate(zip(_poses_with_covariance(states), _twists(states), strict=True))
     ]
-    objects = [_Predicted(*parts) for parts in _autoware_parts(states, kinematics)]
+    objects = [_autoware.PredictedObject(*parts) for parts in _autoware_parts(states, kinematics)]
     return TYPES[type_store.PREDICTED_OBJECTS](header(time_ns, frame_id), objects)
 
 
 def _poses_with_covariance(states: ObjectStates) -> list[RosMessage]:
     """Poses of the boxes, with the covariances of their positions."""
     of_boxes = poses(states.position, scalar_last_quaternions(states.yaw))
-    return list(map(_PoseWithCovariance, of_boxes, upper_left(states.covariance[:, :3, :3])))
+    return list(map(_geometry.PoseWithCovariance, of_boxes, upper_left(states.covariance[:, :3, :3])))
 
 
 def _twists(states: ObjectStates) -> list[RosMessage]:
@@ -157,7 +133,7 @@ def _twists(states: ObjectStates) -> list[RosMessage]:
     velocity = (into_object @ states.velocity[:, :, None])[:, :, 0]
     covariance = upper_left(turned(states.covariance[:, 6:, 6:], into_object))
     return [
-        _TwistWithCovariance(_Twist(linear, _ZERO), own)
+        _geometry.TwistWithCovariance(_geometry.Twist(linear, _ZERO), own)
         for linear, own in zip(vectors(velocity), covariance, strict=True)
     ]
 
@@ -170,7 +146,13 @@ def _rotations(yaw: Floats) -> Floats:
 def _autoware_parts(states: ObjectStates, kinematics: list[RosMessage]) -> list[tuple[RosMessage, ...]]:
     """The fields of Autoware's objects, in their order."""
     return [
-        (_Uuid(uuid), score, [_Classification(_LABELS[kind], 1.0)], motion, _Shape(BOUNDING_BOX, _Polygon([]), size))
+        (
+            _Uuid(uuid),
+            score,
+            [_autoware.ObjectClassification(_LABELS[kind], 1.0)],
+            motion,
+            _autoware.Shape(BOUNDING_BOX, _geometry.Polygon([]), size),
+        )
         for uuid, score, kind, motion, size in zip(
             uuids(states.id),
             states.score.tolist(),

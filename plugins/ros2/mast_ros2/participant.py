@@ -26,7 +26,7 @@ from mast_ros2.connection import Connection
 from mast_ros2.data_keys import DataKey
 from mast_ros2.liveliness_tokens import ALL_DOMAINS, EndpointToken, NodeToken, all_tokens, parse_token, tokens_of
 from mast_ros2.names import ros2_name
-from mast_ros2.qos import TRANSIENT_LOCAL, Qos
+from mast_ros2.qos import Qos
 from mast_ros2.type_store import RosMessage
 from mast_zenoh.errors import MessageError, NotRunning
 from mast_zenoh.outside import OutsideTopic
@@ -54,6 +54,7 @@ _CONNECT_S = 5.0
 #: s, for which a peer that takes nothing is waited for; then its link ends. As in rmw_zenoh's own settings.
 _PATIENCE_S = 60.0
 
+_QOS = Qos()
 _SETTINGS: dict[str, Any] = {
     "mode": "client",
     "connect/timeout_ms": round(1000 * _CONNECT_S),
@@ -70,7 +71,7 @@ class Publisher:
     token: what makes it known;  gid: its id in messages
     """
 
-    def __init__(self, token: EndpointToken, session: zenoh.Session, *, wait: bool) -> None:
+    def __init__(self, token: EndpointToken, session: zenoh.Session, qos: Qos, *, wait: bool) -> None:
         self.token = token
         self.gid = gid_of(token.write())
         self._sequence = 0
@@ -78,13 +79,13 @@ class Publisher:
         congestion = zenoh.CongestionControl.BLOCK if wait else zenoh.CongestionControl.DROP
         key = token.data_key.write()
         self._publisher: Any
-        if token.qos.durability == TRANSIENT_LOCAL:
+        if qos.transient_local:
             self._publisher = zenoh.ext.declare_advanced_publisher(
                 session,
                 key,
                 congestion_control=congestion,
                 express=True,
-                cache=zenoh.ext.CacheConfig(token.qos.depth),
+                cache=zenoh.ext.CacheConfig(qos.depth),
                 publisher_detection=True,
             )
         else:
@@ -158,17 +159,18 @@ class Participant:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def publisher(self, topic: str, type_name: str, qos: Qos | None = None) -> Publisher:
+    def publisher(self, topic: str, type_name: str, qos: Qos = _QOS) -> Publisher:
         """A publisher of a topic; one that is `transient_local` keeps its messages for those that come late.
 
         Raises ValueError for an invalid topic, KeyError for an unknown type.
         """
-        publisher = Publisher(self._endpoint("publisher", topic, type_name, qos), self._session, wait=self._wait)
+        token = self._endpoint("publisher", topic, type_name, qos)
+        publisher = Publisher(token, self._session, qos, wait=self._wait)
         self._declared.append(publisher)
         return publisher
 
     def subscribe(
-        self, topic: str, type_name: str, handler: Handler, qos: Qos | None = None, *, most_bytes: int = MOST_BYTES
+        self, topic: str, type_name: str, handler: Handler, qos: Qos = _QOS, *, most_bytes: int = MOST_BYTES
     ) -> None:
         """Have a handler called with each message of a topic; raises as `publisher` does.
 
@@ -183,7 +185,7 @@ class Participant:
         self.subscribe_bytes(topic, type_name, decoded, qos, most_bytes=most_bytes)
 
     def subscribe_bytes(
-        self, topic: str, type_name: str, handler: BytesHandler, qos: Qos | None = None, *, most_bytes: int = MOST_BYTES
+        self, topic: str, type_name: str, handler: BytesHandler, qos: Qos = _QOS, *, most_bytes: int = MOST_BYTES
     ) -> None:
         """Have a handler called with the bytes of each message of a topic, valid or not; otherwise as `subscribe`."""
         token = self._endpoint("subscription", topic, type_name, qos)
@@ -196,9 +198,9 @@ class Participant:
                 self._session,
                 key,
                 take,
-                history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=token.qos.depth),
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=qos.depth),
             )
-            if token.qos.durability == TRANSIENT_LOCAL
+            if qos.transient_local
             else self._session.declare_subscriber(key, take)
         )
         self._declared.append(subscriber)
@@ -225,7 +227,7 @@ class Participant:
             if all(attachment.gid != publisher.gid for publisher in self._announced.values()):  # as on /tf
                 keep(message, attachment.gid)
 
-        qos = Qos(durability=TRANSIENT_LOCAL, depth=topic.depth) if topic.retained else Qos(depth=topic.depth)
+        qos = Qos(transient_local=topic.retained, depth=topic.depth)
         self.subscribe(topic.name, topic.type_name, foreign, qos, most_bytes=topic.most_bytes)
 
     def settle(self) -> None:
@@ -295,11 +297,11 @@ class Participant:
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
-    def _endpoint(self, kind: str, topic: str, type_name: str, qos: Qos | None) -> EndpointToken:
+    def _endpoint(self, kind: str, topic: str, type_name: str, qos: Qos) -> EndpointToken:
         key = DataKey.of(self.connection.domain, topic, type_name)
         self._n_endpoints += 1
         number = self._n_endpoints  # the node itself has 0
-        token = EndpointToken(self._node, number, kind, topic, type_name, key.type_hash, qos or Qos())
+        token = EndpointToken(self._node, number, kind, topic, type_name, key.type_hash, qos.write())
         with self._lock:
             self._endpoints.setdefault(topic, []).append(token)
         if not self._is_complete:

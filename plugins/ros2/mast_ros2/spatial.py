@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mast_ros2.type_store import TYPES, RosMessage
+from mast_ros2.type_store import TYPES, RosMessage, package
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.errors import MessageError
 
@@ -21,10 +21,8 @@ MOST_METRES = 1e7
 _LENGTH_TOLERANCE = 1e-2
 
 _SECOND = 10**9
-_POSE = TYPES["geometry_msgs/msg/Pose"]
-_POINT, _VECTOR, _QUATERNION = (TYPES[f"geometry_msgs/msg/{name}"] for name in ("Point", "Vector3", "Quaternion"))
-_HEADER, _TIME = TYPES["std_msgs/msg/Header"], TYPES["builtin_interfaces/msg/Time"]
-_DURATION = TYPES["builtin_interfaces/msg/Duration"]
+_geometry, _interfaces = package("geometry_msgs"), package("builtin_interfaces")
+_HEADER = TYPES["std_msgs/msg/Header"]
 
 
 class Transform(NamedTuple):
@@ -48,12 +46,12 @@ def stamp(time_ns: int) -> RosMessage:
     s, ns = divmod(time_ns, _SECOND)
     if not 0 <= s < 2**31:
         raise ValueError(f"time: found {time_ns} ns, expected 0 to 2**31 s")
-    return _TIME(s, ns)
+    return _interfaces.Time(s, ns)
 
 
 def duration(time_ns: int) -> RosMessage:
     """A Duration of int ns."""
-    return _DURATION(*divmod(time_ns, _SECOND))
+    return _interfaces.Duration(*divmod(time_ns, _SECOND))
 
 
 def header(time_ns: int, frame_id: str) -> RosMessage:
@@ -63,19 +61,19 @@ def header(time_ns: int, frame_id: str) -> RosMessage:
 
 def vectors(values: Floats) -> list[RosMessage]:
     """n Vector3 of (n, 3)."""
-    return [_VECTOR(x, y, z) for x, y, z in values.tolist()]
+    return [_geometry.Vector3(x, y, z) for x, y, z in values.tolist()]
 
 
 def poses(position: Floats, quaternion: Floats) -> list[RosMessage]:
     """n Pose of positions (n, 3) m and quaternions (n, 4) x y z w."""
     pairs = zip(position.tolist(), quaternion.tolist(), strict=True)
-    return [_POSE(_POINT(*place), _QUATERNION(*turn)) for place, turn in pairs]
+    return [_geometry.Pose(_geometry.Point(*place), _geometry.Quaternion(*turn)) for place, turn in pairs]
 
 
 def quaternion(rotation: Floats) -> RosMessage:
     """A Quaternion of (4,) w x y z, of any length but 0."""
     w, x, y, z = (rotation / np.linalg.norm(rotation)).tolist()
-    return _QUATERNION(x, y, z, w)
+    return _geometry.Quaternion(x, y, z, w)
 
 
 def upper_left(covariance: Floats) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 from rosbags.serde import SerdeError
@@ -49,6 +50,12 @@ for _name, _text in DEFINITIONS.items():
 
 #: By name of a type, its class. Its arguments are the fields in their order.
 TYPES: Mapping[str, Callable[..., RosMessage]] = STORE.types
+
+
+def package(name: str) -> SimpleNamespace:
+    """The classes of the messages of a package, by their names."""
+    begin = f"{name}/msg/"
+    return SimpleNamespace(**{kind.removeprefix(begin): cls for kind, cls in TYPES.items() if kind.startswith(begin)})
 
 
 def encode(message: RosMessage) -> bytes:

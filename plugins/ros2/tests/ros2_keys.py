@@ -1,7 +1,9 @@
 """Reads the key expressions that `ros2.data_keys` writes."""
 
+import re
+
 from mast_ros2.data_keys import DataKey
-from mast_ros2.names import domain_of_chunk, hash_of_chunk, type_of_dds
+from mast_ros2.names import NO_HASH, type_of_dds
 
 from mast_zenoh.errors import MessageError
 
@@ -12,7 +14,10 @@ def parse_data_key(key: str) -> DataKey:
     if len(chunks) < 4:
         raise MessageError(f"key {key!r:.200}: found {len(chunks)} chunks, expected domain/topic/type/hash")
     domain, *topic, dds_name, type_hash = chunks
+    if not re.fullmatch("0|[1-9][0-9]{0,18}", domain):
+        raise MessageError(f"key {key!r:.200}: found {domain!r}, expected a whole number")
+    known_hash = None if type_hash == NO_HASH else type_hash
     try:
-        return DataKey(domain_of_chunk(domain), "/" + "/".join(topic), type_of_dds(dds_name), hash_of_chunk(type_hash))
+        return DataKey(int(domain), "/" + "/".join(topic), type_of_dds(dds_name), known_hash)
     except (MessageError, ValueError) as error:
         raise MessageError(f"key {key!r:.200}: {error}") from None

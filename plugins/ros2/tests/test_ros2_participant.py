@@ -16,14 +16,15 @@ from mast_ros2.data_keys import DataKey
 from mast_ros2.liveliness_tokens import EndpointToken, NodeToken
 from mast_ros2.participant import Participant
 from mast_ros2.pose_messages import clock
-from mast_ros2.qos import TRANSIENT_LOCAL, Qos
+from mast_ros2.qos import Qos
 
 from mast_zenoh.errors import ConfigurationError, NotRunning
 from mast_zenoh.runtime.mesh.session import open_client, open_router
 from tests.support.launched import eventually
 
 DEADLINE_S = 20.0
-ONE_MESSAGE = Qos(durability=TRANSIENT_LOCAL, depth=1)
+ONE_MESSAGE = Qos(transient_local=True, depth=1)
+USUAL = Qos()
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def peer(router: str) -> Iterator[zenoh.Session]:
 
 
 def received(
-    participant: Participant, topic: str, qos: Qos | None = None
+    participant: Participant, topic: str, qos: Qos = USUAL
 ) -> queue.SimpleQueue[tuple[Any, MessageAttachment]]:
     """What a participant receives on a topic with clocks, as it comes."""
     arrived: queue.SimpleQueue[tuple[Any, MessageAttachment]] = queue.SimpleQueue()
