@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,15 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.checks.evidence import Check, RunEvidence
-from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved
+from mast_zenoh.config.resolved import RECORDING, Resolved
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.metrics import Boxes, SetDistance
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.runtime.host import Outgoing
 from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
+from mast_zenoh.wiring import insertion
+from mast_zenoh.wiring.model import Wiring
 
 NAME = "convergence"
 
@@ -30,6 +30,8 @@ DISTANCE = SetDistance(c=5.0, p=1.0)
 THRESHOLD_M = 0.5
 #: s; a run that ends sooner after its last heal is too short to judge.
 ENOUGH_S = 2.0
+#: Roles of nodes whose messages nothing depends on.
+_OBSERVERS = ("recorder", "evaluator", "visualizer")
 
 _cache: tuple[str, dict[int, Floats]] = ("", {})
 
@@ -116,28 +118,23 @@ def _boxes(positions: dict[int, Floats], frames: Ints) -> Boxes:
 
 
 def without_faults(resolved: Resolved) -> Resolved:
-    """The scenario in lock-step, with perfect links and without faults.
+    """The scenario in lock-step, without links and faults, whatever inserted the links.
 
-    Recorders, evaluators and visualizers are removed unless they are on a branch. Links before a single subscriber are
-    removed. Links that a user's map inserts elsewhere forward everything unchanged.
+    Recorders, evaluators and visualizers are removed, too, unless something other than links is before them alone.
     """
     wiring = Wiring.from_json(resolved.wiring)
     links = {name for name, spec in resolved.nodes.items() if spec.role == "link"}
-    wires = [_without_branches(wire, links) for wire in wiring.wires]
-    needed = {end.node for wire in wires for branch in wire.branches for end in (branch.entrance, branch.subscriber)}
-    removed = {
-        name
-        for name, spec in resolved.nodes.items()
-        if name not in needed and spec.role in ("recorder", "evaluator", "visualizer")
+    kept = {
+        branch.subscriber.node
+        for wire in wiring.wires
+        for branch in wire.branches
+        if not all(leg.publisher.node in links for leg in branch.legs)
     }
-    on_wires = {name for wire in wires for name in wire.interposers}
-    removed |= {name for name in links if name not in on_wires}
-    kept = Wiring(
-        tuple(_without(wire, removed) for wire in wires if wire.legs[0].publisher.node not in removed),
-        tuple(end for end in wiring.overhearers if end.node not in removed),
-    )
-    nodes = {name: _perfect(spec) for name, spec in resolved.nodes.items() if name not in removed}
-    return replace(resolved, nodes=nodes, wiring=kept.to_json(), mode="lockstep", steps=(), timeline=(), network={})
+    observers = {name for name, spec in resolved.nodes.items() if spec.role in _OBSERVERS}
+    removed = links | (observers - kept)
+    nodes = {name: spec for name, spec in resolved.nodes.items() if name not in removed}
+    wiring = insertion.never_inserted(wiring, removed)
+    return replace(resolved, nodes=nodes, wiring=wiring.to_json(), mode="lockstep", steps=(), timeline=(), network={})
 
 
 def pictures(resolved: Resolved, folder: Path) -> dict[int, Floats]:
@@ -173,39 +170,3 @@ def _run(resolved: Resolved) -> dict[int, Floats]:
     resolved.load_modules()
     InProcess(resolved, tap=tap).run()
     return positions
-
-
-def _without_branches(wire: Wire, links: set[str]) -> Wire:
-    """The wire without the branches that consist only of links."""
-    bypassed = {
-        branch.entrance: branch.subscriber
-        for branch in wire.branches
-        if all(leg.publisher.node in links for leg in branch.legs)
-    }
-    *trunk, last = wire.legs
-    subscribers = tuple(bypassed.get(end, end) for end in last.subscribers)
-    return replace(
-        wire,
-        legs=(*trunk, replace(last, subscribers=subscribers)),
-        branches=tuple(branch for branch in wire.branches if branch.entrance not in bypassed),
-    )
-
-
-def _without(wire: Wire, removed: set[str]) -> Wire:
-    """The wire without some of its subscribers and listeners."""
-
-    def remaining(ends: tuple[Endpoint, ...]) -> tuple[Endpoint, ...]:
-        return tuple(end for end in ends if end.node not in removed)
-
-    legs: tuple[Leg, ...] = tuple(replace(leg, subscribers=remaining(leg.subscribers)) for leg in wire.legs)
-    return replace(
-        wire, legs=legs, listeners=tuple(listener for listener in wire.listeners if listener.end.node not in removed)
-    )
-
-
-def _perfect(spec: NodeSpec) -> NodeSpec:
-    """A link without rules, which forwards everything; any other node unchanged."""
-    if spec.role != "link":
-        return spec
-    config: Mapping[str, Any] = spec.config
-    return replace(spec, config={key: [] if key in ("rules_up", "rules_down") else config[key] for key in config})
