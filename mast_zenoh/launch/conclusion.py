@@ -116,25 +116,21 @@ def write(
     refused = write_results(folder, handed_in, measured, tables)
     if outside := results.outside(handed_in, resolved.nodes):
         record["outside"] = outside
-    record["notices"] = notices.of_run(resolved, record, collations, measured, refused, results.left_out(handed_in))
+    found = [*notices.of_run(resolved, record, collations, measured, refused, results.left_out(handed_in))]
     if problem := driven_scene.write(folder, resolved):
-        record["notices"].append({"kind": "scene", "count": 1, "text": problem})
-    world = driver_of(resolved.nodes)
-    record["notices"] += notices.of_commands(
-        handed_in.get(world, {}).get("commands"),
-        Wiring.from_json(resolved.wiring),
-        counts_of(record["nodes"].get(world, {}).get("rejected")),
-    )
+        found.append(notices.notice("scene", problem))
+    world, wiring = driver_of(resolved.nodes), Wiring.from_json(resolved.wiring)
+    rejected = counts_of(record["nodes"].get(world, {}).get("rejected"))
+    found += notices.of_commands(handed_in.get(world, {}).get("commands"), wiring, rejected)
+    played = record["timings"].get("frames")
     metrics = handed_in.get(results.EVALUATOR, {}).get("metrics")
     if isinstance(metrics, Mapping):
-        record["notices"] += notices.of_scores(metrics, record["timings"].get("frames"))
-        record["notices"] += notices.of_estimates(metrics.get("driven"), metrics.get("frames"))
-        record["notices"] += notices.of_brakes(metrics.get("driven"))
-        record["notices"] += notices.of_confidence(metrics, innovations)
-    played = record["timings"].get("frames") or 0
-    record["notices"] += (idle.idle_metrics if "replay" in record else idle.idle_parts)(
-        resolved, played, handed_in, folder
-    )
+        found += notices.of_scores(metrics, played)
+        found += notices.of_estimates(metrics.get("driven"), metrics.get("frames"))
+        found += notices.of_brakes(metrics.get("driven"))
+        found += notices.of_confidence(metrics, innovations)
+    found += idle.idle_parts(resolved, played or 0, handed_in, folder, replayed="replay" in record)
+    record["notices"] = found
 
 
 def write_results(

@@ -21,6 +21,7 @@ from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import nearest
 from mast_zenoh.integrity import Integrity
+from mast_zenoh.launch.notices import Notice, notice
 from mast_zenoh.metrics import Metric
 from mast_zenoh.metrics.estimates import LOCAL
 from mast_zenoh.metrics.measures import label_of
@@ -37,27 +38,26 @@ _UNDER_WAY_S = 1.0
 
 
 def idle_parts(
-    resolved: Resolved, frames: int, handed_in: Mapping[str, Mapping[str, Any]], folder: Path
-) -> list[dict[str, Any]]:
-    """A notice {"kind": "idle", "count": 1, "text"} for each part of a run that took part in nothing.
+    resolved: Resolved,
+    frames: int,
+    handed_in: Mapping[str, Mapping[str, Any]],
+    folder: Path,
+    *,
+    replayed: bool = False,
+) -> Iterator[Notice]:
+    """A notice for each part of a run that took part in nothing.
 
     frames: number of frames played;  handed_in: what each node returned from `finish`
-    folder: of the run, with its tables
+    folder: of the run, with its tables;  replayed: then of its metrics alone, as all else was played
     """
-    if not frames:
-        return []
     run = _EndedRun(resolved, frames, handed_in, folder)
-    sentences = [*resolved.idle, *_adversaries(run), *_coordinators(run), *_defences(run)]
-    sentences += [*_vetoes(run), *_links(run), *_faults(run), *_sensors(run), *_agents(run), *_metrics(run)]
-    return [{"kind": "idle", "count": 1, "text": text} for text in dict.fromkeys(sentences)]
-
-
-def idle_metrics(
-    resolved: Resolved, frames: int, handed_in: Mapping[str, Mapping[str, Any]], folder: Path
-) -> list[dict[str, Any]]:
-    """The notices of a replay: of its metrics alone, as all else was played."""
-    sentences = _metrics(_EndedRun(resolved, frames, handed_in, folder))
-    return [{"kind": "idle", "count": 1, "text": text} for text in sentences]
+    sentences: list[str] = []
+    if frames and not replayed:
+        sentences += [*resolved.idle, *_adversaries(run), *_coordinators(run), *_defences(run)]
+        sentences += [*_vetoes(run), *_links(run), *_faults(run), *_sensors(run), *_agents(run)]
+    if frames or replayed:
+        sentences += _metrics(run)
+    return (notice("idle", text) for text in dict.fromkeys(sentences))
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control.results import counts_of
 from mast_zenoh.metrics.estimates import subject_of
+from mast_zenoh.metrics.study_results import plural
 from mast_zenoh.outside import MOST_PUBLISHERS
 from mast_zenoh.run_folder.recording import churn
 from mast_zenoh.scenario.driving import driver_of_car
@@ -25,6 +26,14 @@ _MAX_KEYS = 3  # that a notice names
 _MAX_EVENTS = 10
 _MIN_PACE = 0.95  # of the requested frame rate
 
+#: A line at the end of a run, as in run.json: `kind`, `count` and `text`.
+Notice = dict[str, Any]
+
+
+def notice(kind: str, text: str, count: int = 1) -> Notice:
+    """A notice; count: of what it is about."""
+    return {"kind": kind, "count": count, "text": text}
+
 
 def of_run(
     resolved: Resolved,
@@ -33,8 +42,8 @@ def of_run(
     measured: Mapping[str, Any],
     refused: Sequence[str],
     left_out: Mapping[str, int],
-) -> list[dict[str, Any]]:
-    """The notices of a run, each as {"kind", "count", "text"}.
+) -> Iterator[Notice]:
+    """The notices of a run.
 
     record:     run.json, with its nodes and timings
     collations: the brokers' counters
@@ -60,26 +69,24 @@ def of_run(
         *(("outside", *_outside(name, counts)) for name, counts in record.get("outside", {}).items()),
         ("results", len(refused), f"{len(refused)} refused: {'; '.join(refused)}"),
     ]
-    return [{"kind": kind, "count": count, "text": text} for kind, count, text in parts if count]
+    return (notice(kind, text, count) for kind, count, text in parts if count)
 
 
-def of_scores(metrics: Mapping[str, Any], played: int | None = None) -> list[dict[str, Any]]:
+def of_scores(metrics: Mapping[str, Any], played: int | None = None) -> Iterator[Notice]:
     """Notices of frames that were not measured, and of a run too short to settle.
 
     metrics: of metrics.json;  played: number of frames, None if unknown
     """
     count = metrics.get("frames")
     if not isinstance(count, int) or not count:
-        return []
-    notices = []
+        return
     if played is not None and count < played:
-        text = f"{number(played - count, 'frame')} of {played} were played and not measured: the evaluator missed them"
-        notices.append({"kind": "unmeasured", "count": played - count, "text": text})
-    if metrics.get("settled") is not False:
-        return notices
-    frames = "the only frame is" if count == 1 else f"all {count} frames are"
-    text = f"too short to score settled frames alone: {frames} scored, including frames in which tracks begin"
-    return [*notices, {"kind": "unsettled", "count": count, "text": text}]
+        text = f"{plural(played - count, 'frame')} of {played} were played and not measured: the evaluator missed them"
+        yield notice("unmeasured", text, played - count)
+    if metrics.get("settled") is False:
+        frames = "the only frame is" if count == 1 else f"all {count} frames are"
+        text = f"too short to score settled frames alone: {frames} scored, including frames in which tracks begin"
+        yield notice("unsettled", text, count)
 
 
 def _outside(name: str, counts: Mapping[str, Any]) -> tuple[int, str]:
@@ -89,13 +96,13 @@ def _outside(name: str, counts: Mapping[str, Any]) -> tuple[int, str]:
         return 1, f"{text}it was lost, and nobody counted its answers"
     asked, unanswered, late = counts["asked"], counts["unanswered"], counts["late"]
     if not asked and counts["interrupted"]:
-        text += f"{number(counts['interrupted'], 'message')} had no answer yet when the run was stopped"
+        text += f"{plural(counts['interrupted'], 'message')} had no answer yet when the run was stopped"
     elif not asked:
         text += "it was sent no message"
     elif not (unanswered or late):
-        text += f"it answered each of {number(asked, 'message')}"
+        text += f"it answered each of {plural(asked, 'message')}"
     else:
-        text += f"{unanswered + late} of {number(asked, 'message')} had no answer in time"
+        text += f"{unanswered + late} of {plural(asked, 'message')} had no answer in time"
         text += f", {late} had one later" if late else ""
     for topic, absence in counts["absent"].items():
         text += f"; nothing came on {topic} {absence}"
@@ -103,7 +110,7 @@ def _outside(name: str, counts: Mapping[str, Any]) -> tuple[int, str]:
         reasons = Counter(counts[word])
         if reasons:
             reason, most = min(reasons.items(), key=lambda item: (-item[1], item[0]))
-            text += f"; it {word.replace('_', ' ')} {number(reasons.total(), what)} (most: {most}, {reason})"
+            text += f"; it {word.replace('_', ' ')} {plural(reasons.total(), what)} (most: {most}, {reason})"
     for topic, publishers in counts["publishers"].items():
         if publishers > 1:
             many = f"{publishers} or more" if publishers >= MOST_PUBLISHERS else str(publishers)
@@ -111,13 +118,12 @@ def _outside(name: str, counts: Mapping[str, Any]) -> tuple[int, str]:
     return max(1, unanswered + late), text
 
 
-def of_commands(cars: object, wiring: Wiring, rejected: Mapping[str, int]) -> list[dict[str, Any]]:
+def of_commands(cars: object, wiring: Wiring, rejected: Mapping[str, int]) -> Iterator[Notice]:
     """Notices of cars that had no new command in some frames.
 
     cars: what the simulator counted, by car; rejected: messages that it rejected, by key and reason. Among these are
     commands that cannot be read, which never reach a car.
     """
-    notices = []
     by_key: Counter[str] = Counter()
     for key_and_reason, count in rejected.items():
         by_key[key_and_reason.rpartition(": ")[0]] += count
@@ -130,28 +136,24 @@ def of_commands(cars: object, wiring: Wiring, rejected: Mapping[str, int]) -> li
         held, braked = (frames.get(name, 0) for name in ("held", "braked"))
         if held + braked == 0:
             continue
-        text = f"the car of {car} had no new command in {number(held + braked, 'frame')}"
-        text += f": it went on in {held} and braked in {braked}; {number(by_car[car], 'command')} refused"
-        notices.append({"kind": "commands", "count": held + braked, "text": text})
-    return notices
+        text = f"the car of {car} had no new command in {plural(held + braked, 'frame')}"
+        text += f": it went on in {held} and braked in {braked}; {plural(by_car[car], 'command')} refused"
+        yield notice("commands", text, held + braked)
 
 
-def of_estimates(driven: object, frames: object) -> list[dict[str, Any]]:
+def of_estimates(driven: object, frames: object) -> Iterator[Notice]:
     """Notices of drivers that had no estimate in some frames.
 
     driven: of metrics.json, by car; frames: number of frames that were measured
     """
-    notices = []
     for car, happened in driven.items() if isinstance(driven, Mapping) else ():
         if blind := counts_of(happened).get("blind_frames", 0):
             text = f"{driver_of_car(str(car))} drove {blind} of {frames} frames without an estimate that is new enough "
-            notices.append({"kind": "estimates", "count": blind, "text": f"{text}(estimate_age_s): it only braked"})
-    return notices
+            yield notice("estimates", f"{text}(estimate_age_s): it only braked", blind)
 
 
-def of_brakes(driven: object) -> list[dict[str, Any]]:
+def of_brakes(driven: object) -> Iterator[Notice]:
     """Notices of brakes of which it is not known what the driver does on the truth. driven: of metrics.json, by car"""
-    notices = []
     for car, happened in driven.items() if isinstance(driven, Mapping) else ():
         brakes = happened.get("brakes") if isinstance(happened, Mapping) else None
         of_model = [
@@ -160,10 +162,9 @@ def of_brakes(driven: object) -> list[dict[str, Any]]:
             if isinstance(brake, Mapping) and brake.get("on_truth_mps2", 0.0) is None
         ]
         if of_model:
-            text = f"{number(len(of_model), 'brake')} of {car} judged by the intelligent driver model, not by what its "
+            text = f"{plural(len(of_model), 'brake')} of {car} judged by the intelligent driver model, not by what its "
             text += f"driver does on the truth: {happened.get('on_truth_problem') or 'the truth or its route was lost'}"
-            notices.append({"kind": "brakes", "count": len(of_model), "text": text})
-    return notices
+            yield notice("brakes", text, len(of_model))
 
 
 def _late(late: Mapping[str, int]) -> tuple[int, str]:
@@ -173,7 +174,7 @@ def _late(late: Mapping[str, int]) -> tuple[int, str]:
     worst = max(agents, key=lambda agent: late[agent])
     source = worst if len(agents) == 1 else f"{len(agents)} agents"
     detail = "" if len(agents) == 1 else f" (most: {worst}, {late[worst]})"
-    return count, f"{number(count, 'message')} of {source} came too late for their batch{detail}"
+    return count, f"{plural(count, 'message')} of {source} came too late for their batch{detail}"
 
 
 def _dropped(name: str, collations: Sequence[Mapping[str, Any]]) -> tuple[int, str]:
@@ -203,7 +204,7 @@ def _rejected(nodes: Mapping[str, Mapping[str, Any]]) -> tuple[int, str]:
         first += [(frame, key, name, reason) for key, (frame, reason) in (node.get("first_rejected") or {}).items()]
     if not by_key:
         return 0, ""
-    text = f"{number(by_key.total(), 'message')} on {number(len(by_key), 'key')}"
+    text = f"{plural(by_key.total(), 'message')} on {plural(len(by_key), 'key')}"
     if first:
         _, key, name, reason = min(first)
         text = f"{text} (first, by {name}: {key}: {reason})"
@@ -222,7 +223,7 @@ def _undelivered(wiring: Wiring, nodes: Mapping[str, Mapping[str, Any]]) -> tupl
         _, reason = next((first[leg.key] for first in firsts if leg.key in first), (0, "no reason is known"))
         parts.append(f"{wire.key} ({leg.publisher.node} to {', '.join(ends)}: {reason})")
     more = f"; and {len(parts) - _MAX_KEYS} more" if len(parts) > _MAX_KEYS else ""
-    text = f"all messages were rejected on {number(len(parts), 'wire')}: {'; '.join(parts[:_MAX_KEYS])}{more}"
+    text = f"all messages were rejected on {plural(len(parts), 'wire')}: {'; '.join(parts[:_MAX_KEYS])}{more}"
     return len(parts), text
 
 
@@ -231,7 +232,7 @@ def _foreign(nodes: Sequence[Mapping[str, Any]]) -> tuple[int, str]:
     by_key: Counter[str] = Counter()
     for node in nodes:
         by_key |= Counter(node.get("foreign") or {})
-    found = number(by_key.total(), "message")
+    found = plural(by_key.total(), "message")
     return by_key.total(), f"{found} without the mark of this run's nodes, on {first_three(sorted(by_key))}"
 
 
@@ -249,7 +250,7 @@ def _control(record: Mapping[str, Any]) -> tuple[int, str]:
             )
     parts = []
     if by_launcher:
-        parts.append(f"{number(_total(by_launcher), 'invalid control message')} refused on {_largest(by_launcher)}")
+        parts.append(f"{plural(_total(by_launcher), 'invalid control message')} refused on {_largest(by_launcher)}")
     if by_nodes:
         parts.append(f"nodes report {_total(by_nodes)} invalid control messages on {_largest(by_nodes)}")
     return _total(by_launcher) + _total(by_nodes), "; ".join(parts)
@@ -263,7 +264,7 @@ def _largest(refusals: Mapping[str, tuple[int, str, str]]) -> str:
     """The number of keys, and the details of the one with the largest count."""
     key = max(sorted(refusals), key=lambda key: refusals[key][0])
     count, reporter, reason = refusals[key]
-    return f"{number(len(refusals), 'key')} (most: {key}, {count}{reporter}, the first: {reason})"
+    return f"{plural(len(refusals), 'key')} (most: {key}, {count}{reporter}, the first: {reason})"
 
 
 def _churned(record: Mapping[str, Any]) -> tuple[int, str]:
@@ -300,7 +301,7 @@ def _behind(resolved: Resolved, record: Mapping[str, Any], measured: Mapping[str
         reasons.append(f"it played {speed:.1f} frames/s instead of {1e3 / period_ms:.1f}")
     late = sum(measured["late"].values())
     if late and not any(entry["kind"] != "attack" for entry in resolved.timeline):
-        reasons.append(f"{number(late, 'message')} came too late for their batch")
+        reasons.append(f"{plural(late, 'message')} came too late for their batch")
     advice = "lower --rate, use more cores, or raise latency_s or patience of the broker"
     return len(reasons), f"this run did not keep up with real time: {'; '.join(reasons)}: {advice}"
 
@@ -319,11 +320,6 @@ def _longest_wait_ms(resolved: Resolved) -> float:
 def first_three(names: Sequence[str]) -> str:
     """The first three names, and how many more there are."""
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-
-
-def number(count: int, noun: str) -> str:
-    """A count with its noun: "1 message", "2 messages"."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 #: Roles of nodes with a tracker.
@@ -349,10 +345,8 @@ def tracker_innovations(
     return {name: sums.summary() for name, sums in returned.items() if sums is not None}
 
 
-def of_confidence(metrics: Mapping[str, Any], trackers: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+def of_confidence(metrics: Mapping[str, Any], trackers: Mapping[str, Mapping[str, Any]]) -> Iterator[Notice]:
     """Notices of estimates that are more confident than accurate, and of trackers too uncertain to report anything.
-
-    Each is {"kind", "count", "text"}.
 
     metrics:  of metrics.json
     trackers: summaries by node, as from `tracker_innovations`; their confidence counts only where nothing could be
@@ -370,7 +364,7 @@ def of_confidence(metrics: Mapping[str, Any], trackers: Mapping[str, Mapping[str
     if len(texts) > _MAX_LINES:
         texts = [*texts[:_MAX_LINES], f"{len(texts) - _MAX_LINES} more estimates are more confident than accurate"]
     texts += [_silent_text(name, each["silent"]) for name, each in trackers.items() if each["silent"] >= _SILENT]
-    return [{"kind": "confidence", "count": 1, "text": text} for text in texts]
+    return (notice("confidence", text) for text in texts)
 
 
 def _estimates(consistency: object) -> Iterator[tuple[str, str, dict[str, Mapping[str, Any]]]]:

@@ -14,10 +14,11 @@ from mast_zenoh.config import plugins
 from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.launch.ending import RUNNING
-from mast_zenoh.launch.notices import first_three, number, of_recording
+from mast_zenoh.launch.notices import first_three, of_recording
 from mast_zenoh.links import WIRES, type_number
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
+from mast_zenoh.metrics.study_results import plural
 from mast_zenoh.replay.cut import ReplayedMesh
 from mast_zenoh.run_folder import versions
 from mast_zenoh.run_folder.recording import churn
@@ -108,20 +109,20 @@ def read_scripts(
     notices = []
     if recorded < planned and n_frames == recorded:
         reason = "" if whole else " (its writer was killed, or the file was cut off)"
-        extent = f"after {number(recorded, 'whole frame')} of {planned}{reason}"
+        extent = f"after {plural(recorded, 'whole frame')} of {planned}{reason}"
         notices.append(f"the recording ends {extent}: these are played")
     if missing := sum(frame not in messages.times_ns for frame in range(n_frames)):
-        frames_without = number(missing, "frame")
+        frames_without = plural(missing, "frame")
         notices.append(f"no clock is recorded of {frames_without}: the times are multiples of the scene's period")
     gaps = {wire.key: gap for wire in _played(cut) if (gap := _gap(messages.numbers[wire.key]))}
     if gaps:
         worst = max(sorted(gaps), key=lambda wire: gaps[wire])
-        where = f"{number(len(gaps), 'wire')} (most: {worst}, {gaps[worst]})"
-        notices.append(f"{number(sum(gaps.values()), 'message')} on {where} were not recorded, and are not played")
+        where = f"{plural(len(gaps), 'wire')} (most: {worst}, {gaps[worst]})"
+        notices.append(f"{plural(sum(gaps.values()), 'message')} on {where} were not recorded, and are not played")
     if silent:
         notices.append(f"no message is recorded on {first_three(silent)}")
     if messages.outsiders:
-        foreign = number(messages.outsiders, "message")
+        foreign = plural(messages.outsiders, "message")
         notices.append(f"{foreign} without the mark of the run's nodes are not played: outsiders sent them")
     return Scripts(scripts, n_frames, notices)
 

@@ -48,7 +48,7 @@ def texts(resolved: Resolved, nodes: dict[str, Any] | None = None, **more: Any) 
     }
     measured = {"late": more.get("late", {})} | more.get("measured", {})
     collations, refused = more.get("collations", []), more.get("refused", [])
-    all_notices = notices.of_run(resolved, record, collations, measured, refused, more.get("left_out", {}))
+    all_notices = [*notices.of_run(resolved, record, collations, measured, refused, more.get("left_out", {}))]
     assert all(notice["count"] > 0 for notice in all_notices)
     return {notice["kind"]: notice["text"] for notice in all_notices}
 
@@ -171,7 +171,7 @@ def test_a_notice_on_drivers_or_scores_counts_and_what_is_no_count_has_none(
     (notice,) = notices_of(counted)
     assert (notice["kind"], notice["count"]) == (kind, count)
     assert notice["text"].startswith(text)
-    assert [notices_of(each) for each in invalid] == [[]] * len(invalid)
+    assert [[*notices_of(each)] for each in invalid] == [[]] * len(invalid)
 
 
 def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
@@ -227,7 +227,7 @@ def compared(position: str | None, velocity: str | None, nees: float = 19.2) -> 
 
 def confidence_texts(consistency: object, **trackers: Innovations) -> list[str]:
     summaries = {name: each.summary() for name, each in trackers.items()}
-    found = notices.of_confidence({"consistency": consistency}, summaries)
+    found = [*notices.of_confidence({"consistency": consistency}, summaries)]
     assert all((each["kind"], each["count"]) == ("confidence", 1) for each in found)
     return [each["text"] for each in found]
 
