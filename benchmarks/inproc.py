@@ -78,7 +78,7 @@ def timed(todo: list[Trial], jobs: int) -> tuple[float, float, float]:
     """Trials/s of all, and without the start of the workers; CPU seconds of a trial."""
     began = time.perf_counter()
     ends, cpu = [], []
-    with closing(execution.run_all(todo, jobs=jobs, cluster=None)) as outcomes:
+    with execution.workers(jobs, None) as run_trials, closing(run_trials(todo)) as outcomes:
         for outcome in outcomes:
             assert not outcome.error, outcome.error
             ends.append(time.perf_counter())

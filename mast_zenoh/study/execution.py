@@ -162,15 +162,6 @@ def require(jobs: int, cluster: str | None) -> None:
         ) from None
 
 
-def run_all(trials: Sequence[Trial], *, jobs: int, cluster: str | None) -> Generator[TrialOutcome, None, None]:
-    """Yield the outcome of each trial as it completes, in any order; see `workers`.
-
-    Closing the iterator, as an exception in its consumer does, cancels unfinished trials and stops local workers.
-    """
-    with workers(jobs, cluster) as run_trials:
-        yield from run_trials(trials)
-
-
 #: Yields the outcome of each trial as it completes, in any order; closing it cancels unfinished trials.
 RunTrials = Callable[[Sequence[Trial]], Generator[TrialOutcome, None, None]]
 
@@ -182,13 +173,11 @@ def workers(jobs: int, cluster: str | None) -> Iterator[RunTrials]:
     jobs:    local worker processes of one thread each; with 1 the trials run in this process, without dask
     cluster: address of a running Dask scheduler instead, such as tcp://HOST:8786
 
-    Local workers are stopped at the end of the block.
-    Raises ConfigurationError where dask is needed and not installed, StartError where no scheduler answers.
+    Local workers are stopped at the end of the block. Raises StartError where no scheduler answers.
     """
     if cluster is None and jobs == 1:
         yield _run_here
         return
-    require(jobs, cluster)
     with _client(jobs, cluster) as client:
         yield partial(_run_on_cluster, client)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -197,23 +196,13 @@ class Store:
 
 
 class TableWriter:
-    """A Parquet file written in pieces.
-
-    It is complete when the block ends, and absent if the block raises.
-    Pieces are buffered up to one row group, so memory use does not grow with the table.
-    """
+    """Writes a table in pieces, buffered up to one row group, so memory use does not grow with the table."""
 
     ROW_GROUP = 500_000
 
-    def __init__(self, path: Path, schema: pyarrow.Schema) -> None:
-        self._path, self._schema = path, schema
-        self._temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    def __init__(self, writer: parquet.ParquetWriter) -> None:
+        self._writer = writer
         self._pending: list[pyarrow.Table] = []
-
-    def __enter__(self) -> TableWriter:
-        self._temporary.unlink(missing_ok=True)  # a link there would be followed
-        self._writer = parquet.ParquetWriter(self._temporary, self._schema, compression="zstd")
-        return self
 
     def append(self, piece: pyarrow.Table) -> None:
         """Append rows; columns of the schema that they lack are null."""
@@ -221,28 +210,29 @@ class TableWriter:
             piece.column(field.name).cast(field.type)
             if field.name in piece.column_names
             else pyarrow.nulls(len(piece), field.type)
-            for field in self._schema
+            for field in self._writer.schema
         ]
-        self._pending.append(pyarrow.table(columns, schema=self._schema))
+        self._pending.append(pyarrow.table(columns, schema=self._writer.schema))
         if sum(map(len, self._pending)) >= self.ROW_GROUP:
-            self._flush()
+            self.flush()
 
-    def _flush(self) -> None:
+    def flush(self) -> None:
+        """Write what is buffered."""
         if self._pending:
             self._writer.write_table(pyarrow.concat_tables(self._pending).unify_dictionaries().combine_chunks())
         self._pending = []
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        with self._writer:
-            if kind is None:
-                self._flush()
-        if kind is None:
-            os.replace(self._temporary, self._path)
-        else:
-            self._temporary.unlink(missing_ok=True)
+
+@contextmanager
+def table_writer(path: Path, schema: pyarrow.Schema) -> Iterator[TableWriter]:
+    """Write a Parquet file: complete when the block ends, and as it was before if the block raises."""
+    with run_folder.replacing(path) as new, parquet.ParquetWriter(new, schema, compression="zstd") as file:
+        writer = TableWriter(file)
+        yield writer
+        writer.flush()
 
 
 def write_parquet(path: Path, table: Any) -> None:
     """Write a table atomically: a reader finds the complete old or new file."""
-    with TableWriter(path, table.schema) as file:
+    with table_writer(path, table.schema) as file:
         file.append(table)

@@ -21,7 +21,7 @@ from mast_zenoh.study import numbers, statistics
 from mast_zenoh.study.defences import kinds
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.numbers import ACHIEVED, COMPROMISED, COOPERATION, DEFENCE, DRIVEN, NAN, Number, ego
-from mast_zenoh.study.store import Store, TableWriter
+from mast_zenoh.study.store import Store, table_writer
 from mast_zenoh.study.trial import Trial, TrialOutcome
 
 Value = int | float | str
@@ -136,8 +136,8 @@ def _write_parquet(
     done: Counter[str] = Counter()
     samples = Samples(study, seeds)
     with (
-        TableWriter(store.folder / "results.parquet", per_trial.schema(trial_schema)) as trial_file,
-        TableWriter(store.folder / "frames.parquet", per_frame.schema(frame_schema)) as frame_file,
+        table_writer(store.folder / "results.parquet", per_trial.schema(trial_schema)) as trial_file,
+        table_writer(store.folder / "frames.parquet", per_frame.schema(frame_schema)) as frame_file,
     ):
         for group in _by_scene_and_seed(store, trials):
             baseline = next((each for each in group if each.trial.configuration == study.baseline), None)

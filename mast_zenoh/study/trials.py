@@ -51,7 +51,7 @@ def run(
     """Run every configuration in every scene with `count` seeds, and write the tables.
 
     allow_failures: whether a trial counts even if handlers of its nodes failed
-    jobs, cluster:  see `execution.run_all`; seed, frames, runtime: override the study's own where not None
+    jobs, cluster:  see `execution.workers`; seed, frames, runtime: override the study's own where not None
     record:         keep the recorded run of each trial, in `runs` of the study's folder; not on a cluster
     resume:         continue in the folder `out`, without repeating finished trials
 
@@ -81,7 +81,8 @@ def run(
             if pending:
                 with (
                     progress_bars(console) as progress,
-                    closing(execution.run_all(pending, jobs=min(jobs, len(pending)), cluster=cluster)) as outcomes,
+                    execution.workers(min(jobs, len(pending)), cluster) as run_trials,
+                    closing(run_trials(pending)) as outcomes,
                 ):
                     keep(outcomes, store, failures, progress, progress.add_task("trials", total=len(pending)))
             finished = tables.write(study, store, trials, failures)

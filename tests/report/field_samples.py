@@ -9,8 +9,7 @@ from defence_samples import ATTACKED, matrix, summary
 from defence_samples import row as defence_row
 
 from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Row, Statistic
-from mast_zenoh.study.defences.published import Published, PublishedNumber
-from mast_zenoh.study.defences.scoreboard import FieldTable
+from mast_zenoh.study.defences.field_tables import FieldTable, Published, PublishedNumber
 
 SCENES = ("4 poles", "4 cars")
 IDLE = Statistic(0.0, 0.0, 0.1, 30, 0, BINOMIAL)

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 
 from mast_zenoh.report.figures import facets
 from mast_zenoh.report.figures.style import Figure
+from mast_zenoh.study.defences.field_tables import FieldTable
 from mast_zenoh.study.defences.matrix_figures import harm_by_scene
-from mast_zenoh.study.defences.scoreboard import FieldTable
 
 DEFENCES = ("KOfN", "SequentialConsistency", "Robosac", "Cad")
 ATTACKS = ("coordinated", "BlindAreaConfusion", "Flood")

@@ -15,7 +15,7 @@ from mast_zenoh.report.narrative.study import compare
 from mast_zenoh.report.tables.study import sections
 from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.study.numbers import Number, numbers, values
-from mast_zenoh.study.store import TableWriter
+from mast_zenoh.study.store import TableWriter, table_writer
 from mast_zenoh.study.tables import ParameterColumns, Samples
 
 
@@ -115,14 +115,14 @@ def test_tables_of_trials_are_joined_with_nulls_for_missing_columns(tmp_path, mo
     text = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
     schema = pyarrow.schema([("name", text), ("mine", pyarrow.float64())])
     pieces = [{"name": [name] * 2, **({"mine": [float(i)] * 2} if i else {})} for i, name in enumerate("abc")]
-    with TableWriter(tmp_path / "t.parquet", schema) as file:
+    with table_writer(tmp_path / "t.parquet", schema) as file:
         for piece in pieces:
             file.append(to_arrow(piece))
         assert not (tmp_path / "t.parquet").exists()
     table = parquet.read_table(tmp_path / "t.parquet")
     assert table.to_pydict() == {"name": list("aabbcc"), "mine": [None, None, 1.0, 1.0, 2.0, 2.0]}
     assert parquet.read_metadata(tmp_path / "t.parquet").num_row_groups == 2
-    with pytest.raises(ZeroDivisionError), TableWriter(tmp_path / "failed.parquet", schema):
+    with pytest.raises(ZeroDivisionError), table_writer(tmp_path / "failed.parquet", schema):
         raise ZeroDivisionError
     assert [path.name for path in tmp_path.iterdir()] == ["t.parquet"]
 

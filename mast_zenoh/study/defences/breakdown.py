@@ -25,7 +25,7 @@ from mast_zenoh.report.tables.text_table import (
     table_of_rows,
 )
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.study.defences.choices import honest_majority
+from mast_zenoh.study.defences import honest_majority
 from mast_zenoh.study.defences.intervals import pooled, share_of_trials
 from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.numbers import ego, scored_frames

@@ -12,14 +12,20 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.report.tables.text_table import ResultTables
-from mast_zenoh.study.defences import breakdown, intervals, matrix
+from mast_zenoh.study.defences import SCENE_KINDS, UNDEFENDED, breakdown, intervals, matrix
 from mast_zenoh.study.defences.breakdown import HALF, mean_crossing, measures_of_breaking, suspended_before_liars
-from mast_zenoh.study.defences.choices import SCENE_KINDS, UNDEFENDED
-from mast_zenoh.study.defences.field_tables import field_tables, published_tables
+from mast_zenoh.study.defences.field_tables import (
+    BY_SUSPENSION,
+    PUBLISHED,
+    FieldTable,
+    Published,
+    PublishedNumber,
+    field_tables,
+    published_tables,
+    scoreboard_tables,
+)
 from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import alone, is_fault, lies, undefended
-from mast_zenoh.study.defences.published import BY_SUSPENSION, PUBLISHED, Published, PublishedNumber
-from mast_zenoh.study.defences.scoreboard import FieldTable, scoreboard_tables
 from mast_zenoh.study.trial import TrialKey, TrialOutcome
 
 if TYPE_CHECKING:

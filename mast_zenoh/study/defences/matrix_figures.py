@@ -14,8 +14,8 @@ from mast_zenoh.report.figures.style import LINE_STYLES, Figure, light_axes, pla
 from mast_zenoh.report.figures.trust import trust_figure
 from mast_zenoh.report.findings.words import paragraph
 from mast_zenoh.report.tables.text_table import number
+from mast_zenoh.study.defences.field_tables import FieldTable
 from mast_zenoh.study.defences.matrix_tables import MatrixTable
-from mast_zenoh.study.defences.scoreboard import FieldTable
 from mast_zenoh.viewer.palette import INK, LOCAL, RUN_COLOURS
 
 

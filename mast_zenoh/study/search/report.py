@@ -36,9 +36,8 @@ from mast_zenoh.report.tables.text_table import (
 )
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.study.defences.kinds import StudyFiles
-from mast_zenoh.study.search.plan import SEARCHED
+from mast_zenoh.study.search.plan import SEARCHED, as_text
 from mast_zenoh.study.search.results import ESTIMATES, SearchResults
-from mast_zenoh.study.search.space import as_text
 from mast_zenoh.viewer.palette import INK, LOCAL, RUN_COLOURS
 
 

@@ -41,9 +41,8 @@ from mast_zenoh.study import execution, numbers, tables, trials
 from mast_zenoh.study.definition import Configuration, Study, settings_of
 from mast_zenoh.study.numbers import ego
 from mast_zenoh.study.search import results
-from mast_zenoh.study.search.plan import CANDIDATE, SEARCHED, SearchPlan
+from mast_zenoh.study.search.plan import CANDIDATE, SEARCHED, SearchPlan, as_text, corners, value_at
 from mast_zenoh.study.search.results import SearchResults
-from mast_zenoh.study.search.space import as_text, corners, value_at
 from mast_zenoh.study.store import Store, status_written
 from mast_zenoh.study.tables import StudyResult
 from mast_zenoh.study.trial import Trial, TrialKey, TrialOutcome

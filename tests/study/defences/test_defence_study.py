@@ -16,9 +16,8 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.study import definition, execution, trial, trials
-from mast_zenoh.study.defences import PLACEMENTS, place
+from mast_zenoh.study.defences import FAULTS, PLACEMENTS, place, resolve_choice
 from mast_zenoh.study.defences.breakdown import Breakdown
-from mast_zenoh.study.defences.choices import FAULTS, resolve_choice
 from mast_zenoh.study.defences.cooperation import Cooperation
 from mast_zenoh.study.defences.drift import Drift
 from mast_zenoh.study.defences.driving_matrix import DrivingMatrix

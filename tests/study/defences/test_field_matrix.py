@@ -23,15 +23,15 @@ from mast_zenoh.study import definition, execution, trials
 from mast_zenoh.study.defences import COORDINATED, UNCOORDINATED
 from mast_zenoh.study.defences.field_matrix import FieldMatrix, ratio, scene_title
 from mast_zenoh.study.defences.field_tables import (
+    PUBLISHED,
     QUANTITIES,
+    FieldTable,
     counts_of,
     field_tables,
     published_tables,
 )
 from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import NO_LIES, undefended
-from mast_zenoh.study.defences.published import PUBLISHED
-from mast_zenoh.study.defences.scoreboard import FieldTable
 
 POLES, MANY = "intersection:8, 4, 0", "intersection:8, 8, 4"
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import mast_zenoh as mast
 from mast_zenoh.metrics.study_results import BINOMIAL, Row, Statistic
-from mast_zenoh.study.defences.choices import by_coverage, honest_majority
+from mast_zenoh.study.defences import by_coverage, honest_majority
 from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import MAX_AGENTS, DefenceMatrix, doubts, is_fault, panel, undefended
 from mast_zenoh.study.defences.matrix_tables import MatrixTable

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 from test_field_matrix import MANY, POLES, cell, collected, ghosts, trial
 
-from mast_zenoh.study.defences.field_tables import field_tables
-from mast_zenoh.study.defences.scoreboard import FieldTable, Scoreboard, scoreboard_tables
+from mast_zenoh.study.defences.field_tables import FieldTable, Scoreboard, field_tables, scoreboard_tables
 
 SCENES = (POLES, MANY)
 #: Errors of each seed around the mean.

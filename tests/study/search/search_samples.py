@@ -11,10 +11,8 @@ import optuna
 
 from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.study.definition import Configuration, Study, StudyScene
-from mast_zenoh.study.search.objective import parse_objective
-from mast_zenoh.study.search.plan import SEARCHED, SearchPlan
+from mast_zenoh.study.search.plan import SEARCHED, SearchPlan, parse_objective, parse_space
 from mast_zenoh.study.search.results import ESTIMATES, SearchResults
-from mast_zenoh.study.search.space import parse_space
 
 BASELINE, DEFAULT = "unattacked", "attacked"
 SPACE = {

@@ -11,10 +11,8 @@ from typing import Any
 import optuna
 import pytest
 
-from mast_zenoh.study.search.objective import parse_objective
-from mast_zenoh.study.search.plan import SearchPlan
+from mast_zenoh.study.search.plan import SearchPlan, parse_objective, parse_space
 from mast_zenoh.study.search.searching import Evaluate, propose
-from mast_zenoh.study.search.space import parse_space
 
 SPACE = parse_space({"x": "0.1..100.0 log", "n": "1..9", "kind": ["a", "b", "c"]}, "p")
 

@@ -14,8 +14,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.metrics.study_results import StudySeries
 from mast_zenoh.study import numbers
-from mast_zenoh.study.search.objective import parse_objective
-from mast_zenoh.study.search.space import as_text, parse_space, with_values
+from mast_zenoh.study.search.plan import as_text, parse_objective, parse_space, with_values
 
 
 def test_a_space_is_a_dict_or_the_same_as_text() -> None:

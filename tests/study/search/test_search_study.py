@@ -18,7 +18,7 @@ from synthetic_search import MOST, OPTIMUM, Synthetic, harm, write_study
 from mast_zenoh.errors import ConfigurationError, Interrupted, TrialsFailed
 from mast_zenoh.study import definition, execution, interface
 from mast_zenoh.study.definition import Study
-from mast_zenoh.study.search.objective import parse_objective
+from mast_zenoh.study.search.plan import parse_objective
 from mast_zenoh.study.tables import StudyResult
 
 #: Files that depend on the study alone.
