@@ -123,16 +123,12 @@ def wait(child: subprocess.Popen[bytes]) -> int:
 
 def end(child: subprocess.Popen[bytes], within_s: float = _END_S) -> None:
     """Have an observer end; kill it if it does not in time, s, or at Ctrl-C."""
+    from mast_zenoh.launch.processes import end_process
+
     assert child.stdin is not None
     with suppress(BrokenPipeError):
         child.stdin.close()
-    try:
-        with suppress(subprocess.TimeoutExpired):
-            child.wait(within_s)
-    finally:
-        if child.poll() is None:
-            child.kill()
-            child.wait()
+    end_process(child, within_s)
 
 
 # -- in the process itself ---------------------------------------------------------------------------------------------

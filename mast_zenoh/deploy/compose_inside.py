@@ -230,9 +230,6 @@ class StartedNodes(Supervisor[StartedNode]):
     def _resume(self, children: Iterable[StartedNode]) -> None:
         assert not list(children)
 
-    def dispose(self, child: StartedNode) -> None:
-        """Nothing to release."""
-
     def end(self, grace_s: float) -> None:
         """Nodes leave with the launcher; those that still run are noted."""
         for child in self.running():

@@ -113,9 +113,6 @@ class DeployedNodes(Supervisor[C]):
             raise EngineError(f"the router{ending}; see logs/{self.router}.log")
         return super().running()
 
-    def dispose(self, child: C) -> None:
-        """Release nothing: what belongs to a node is removed with the run."""
-
     def end(self, grace_s: float) -> None:
         """Resume and reconnect all nodes, then end them: SIGTERM, wait, SIGKILL."""
         self.look()

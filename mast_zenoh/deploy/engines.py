@@ -11,7 +11,6 @@ import re
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from mast_zenoh.config import loading, plugins, registry, settings
@@ -60,22 +59,15 @@ def _of_file(file: Path, name: str | None) -> type[Engine]:
         raise EngineError(
             f"{file}: no such file, expected one that defines a subclass of mast_zenoh.launch.engine.Engine"
         )
-    classes = _defined_in(loading.module(file))
+    module = loading.module(file)
+    known = loading.concrete([module], Engine)
+    classes = {engine.__name__: engine for engine in known if engine.__module__ == module.__name__}
     if name is None and len(classes) != 1:
         engines = ", ".join(sorted(classes)) or "none"
         raise EngineError(f"{file}: found the engines {engines}, expected one, or --engine {file}:NAME")
     if name is not None and name not in classes:
         raise EngineError(f"{file}: defines no engine {name!r}{nearest(name, classes)}")
     return classes[name] if name else next(iter(classes.values()))
-
-
-def _defined_in(module: ModuleType) -> dict[str, type[Engine]]:
-    """The engines that a module defines, by the names of their classes."""
-    return {
-        name: value
-        for name, value in vars(module).items()
-        if isinstance(value, type) and issubclass(value, Engine) and value.__module__ == module.__name__
-    }
 
 
 def options(kind: type[Engine], words: Sequence[str]) -> dict[str, Any]:

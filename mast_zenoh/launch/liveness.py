@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from mast_zenoh.errors import RunFolderError, UntrustedCode
 from mast_zenoh.launch.ending import KILLED, RUNNING
-from mast_zenoh.launch.process_stat import stat_of
+from mast_zenoh.launch.process_stat import began
 
 if TYPE_CHECKING:
     from mast_zenoh.config.allowed_code import AllowedCode
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def identity() -> dict[str, Any]:
     """This process for run.json: id, start (clock ticks since boot), machine and boot."""
-    return {"pid": os.getpid(), "began": _began(os.getpid()), **_here()}
+    return {"pid": os.getpid(), "began": began(os.getpid()), **_here()}
 
 
 def lives(launcher: Mapping[str, Any]) -> bool | None:
@@ -34,8 +34,8 @@ def lives(launcher: Mapping[str, Any]) -> bool | None:
         return False  # the machine has been rebooted since
     if launcher.get("pid_namespace") != here["pid_namespace"]:
         return None  # in a container, for example
-    began = _began(launcher["pid"])
-    return began is not None and began == launcher.get("began")
+    its_began = began(launcher["pid"])
+    return its_began is not None and its_began == launcher.get("began")
 
 
 def check_from_here(folder: Path, record: Mapping[str, Any], allowed: AllowedCode, named: str) -> None:
@@ -86,12 +86,6 @@ def finished_record(folder: Path, record: Mapping[str, Any]) -> dict[str, Any]:
     if current.get("status") == RUNNING and isinstance(launcher, Mapping) and lives(launcher):
         raise RunFolderError(f"{folder}: the run is still in progress: expected a finished run")
     return current
-
-
-def _began(pid: int) -> str | None:
-    """When a process began; None if there is none, or it is a zombie."""
-    fields = stat_of(pid)
-    return None if not fields or fields[0] in "ZX" else fields[19]
 
 
 @cache

@@ -225,31 +225,6 @@ def score(keys: ScoredKeys, truth: Message, picture: Message) -> NewestScore | N
     return NewestScore(keys.agent, frame, missed, false, matched, rmse_m)
 
 
-class InProcessScores:
-    """Scores of a run in this process; `take` is given every message that is sent."""
-
-    def __init__(self, keys: ScoredKeys) -> None:
-        self._keys = keys
-        self._truths: deque[Message] = deque(maxlen=_TRUTHS)
-        self._picture: Message | None = None
-
-    def take(self, message: Outgoing) -> None:
-        """Keep a message if it is needed."""
-        if isinstance(message.payload, Message):
-            if message.key == self._keys.truth:
-                self._truths.append(message.payload)
-            elif message.key == self._keys.picture:
-                self._picture = message.payload
-
-    def newest(self) -> NewestScore | None:
-        """The score of the newest picture."""
-        picture = self._picture
-        if picture is None:
-            return None
-        truth = next((each for each in self._truths if each.header.frame == picture.header.frame), None)
-        return None if truth is None else score(self._keys, truth, picture)
-
-
 class MeshScores:
     """Scores of a run on a mesh, through a session of the router in this process."""
 
@@ -390,21 +365,37 @@ class InProcessObservation:
     """Observes a run in this process: all nodes are always at the same frame, and nothing is lost between them.
 
     scored: whether to score the picture
-    tap:    for `InProcess`; None: not scored
+    tap:    for `InProcess`, takes every message that is sent; None: nothing is scored
     """
 
     def __init__(self, resolved: Resolved, *, scored: bool) -> None:
         self._resolved = resolved
-        keys = scored_keys(resolved) if scored else None
-        scores = None if keys is None else InProcessScores(keys)
-        self.tap = None if scores is None else scores.take
-        self._scores = _Throttled(lambda: None if scores is None else scores.newest())
+        self._keys = scored_keys(resolved) if scored else None
+        self.tap = None if self._keys is None else self._take
+        self._truths: deque[Message] = deque(maxlen=_TRUTHS)
+        self._picture: Message | None = None
+        self._score = _Throttled(self._newest)
 
     def status(self, frame: int, present: Iterable[str]) -> Status:
         """What is to be shown; frame: number of frames played; present: the nodes that have not left."""
         here = set(present)
         states = {name: "running" if name in here else "away" for name in self._resolved.nodes}
-        return _status(self._resolved, frame - 1, states, {}, [], self._scores.newest())
+        return _status(self._resolved, frame - 1, states, {}, [], self._score.newest())
+
+    def _take(self, message: Outgoing) -> None:
+        """Keep a message if it is needed to score the picture."""
+        if self._keys is not None and isinstance(message.payload, Message):
+            if message.key == self._keys.truth:
+                self._truths.append(message.payload)
+            elif message.key == self._keys.picture:
+                self._picture = message.payload
+
+    def _newest(self) -> NewestScore | None:
+        if self._keys is None or self._picture is None:
+            return None
+        frame = self._picture.header.frame
+        truth = next((each for each in self._truths if each.header.frame == frame), None)
+        return None if truth is None else score(self._keys, truth, self._picture)
 
 
 def _status(

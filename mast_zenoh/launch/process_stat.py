@@ -15,6 +15,15 @@ def stat_of(pid: int | str) -> list[str]:
         return []
 
 
+def began(pid: int) -> str | None:
+    """When a process began, in clock ticks since boot; None if there is none, or it is a zombie.
+
+    This identifies it, since process ids are reused.
+    """
+    fields = stat_of(pid)
+    return None if not fields or fields[0] in "ZX" else fields[19]
+
+
 def processor_time_s(pid: int) -> float | None:
     """The processor time that a process has used, s, in all its threads; None if it has ended, or is unknown."""
     fields = stat_of(pid)

@@ -42,12 +42,14 @@ def can_fork_nodes() -> bool:
 
 
 def end_process(process: subprocess.Popen[bytes], seconds: float) -> None:
-    """Wait for the end of a process; kill it after some seconds."""
+    """Wait for the end of a process; kill it after some seconds, or at Ctrl-C."""
     try:
-        process.wait(seconds)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(seconds)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
 
 
 class ForkServer:

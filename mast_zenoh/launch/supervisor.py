@@ -135,9 +135,8 @@ class Supervisor(ABC, Generic[C]):
         """Reconnect the nodes that were disconnected."""
         assert not any(child.cut_off for child in children)
 
-    @abstractmethod
     def dispose(self, child: C) -> None:
-        """Release the resources of a node that has ended for good; frees its name."""
+        """Release the resources of a node that has ended for good, if it has any until the end of the run."""
 
     @abstractmethod
     def end(self, grace_s: float) -> None:

@@ -14,7 +14,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from mast_zenoh.launch.process_stat import stat_of
+from mast_zenoh.launch.process_stat import began
 
 NAMESPACES = Path("/run/netns")
 
@@ -25,7 +25,7 @@ _COUNTER = itertools.count()
 def own_prefix() -> str:
     """Begins the names of a set of namespaces of this process; a new one at each call."""
     pid = os.getpid()
-    return f"mast-{pid}-{_started(pid)}-{next(_COUNTER)}-"
+    return f"mast-{pid}-{began(pid)}-{next(_COUNTER)}-"
 
 
 class Namespace:
@@ -71,22 +71,13 @@ def sweep() -> list[str]:
     parents = NAMESPACES, Path(tempfile.gettempdir())
     paths = [path for parent in parents for path in parent.glob("mast-*")]
     owned = [(path, match) for path in paths if (match := _NAME.fullmatch(path.name))]
-    stale = [path for path, match in owned if _started(int(match["pid"])) != int(match["started"])]
+    stale = [path for path, match in owned if began(int(match["pid"])) != match["started"]]
     for path in stale:
         if path.parent == NAMESPACES:
             Namespace(path.name).remove()
         else:
             shutil.rmtree(path, ignore_errors=True)
     return [path.name for path in stale]
-
-
-def _started(pid: int) -> int:
-    """Start time of a process in ticks since boot; -1 if there is none.
-
-    Field 22 of stat, see proc(5). It identifies a process, since process ids are reused.
-    """
-    fields = stat_of(pid)
-    return int(fields[19]) if fields else -1
 
 
 def _run(command: list[str], stdin: str | None = None) -> None:

@@ -413,9 +413,6 @@ class SimulatedSupervisor(Supervisor[SimulatedChild]):
             if child.process is not None:
                 child.process.resume()
 
-    def dispose(self, child: SimulatedChild) -> None:
-        """See Supervisor."""
-
     def end(self, grace_s: float) -> None:
         for child in self.running():
             self.end_now(child)
