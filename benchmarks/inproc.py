@@ -61,7 +61,7 @@ def one_and_two_jobs(scene: str, trials: int, rounds: int) -> None:
     """Time the same trials with one job and with two."""
     study = definition.load("monte_carlo", [f"scenes={scene}"])
     seeds = -(-trials // len(study.configurations))
-    todo = plan(study, count=seeds, seed=0, frames=None, runtime="inproc")[:trials]
+    todo = plan(study.chosen(seed=0, runtime="inproc"), count=seeds)[:trials]
     for seed in {trial.seed: trial for trial in todo}.values():
         execution.prepare(seed)  # scenes are prepared before timing starts, for one and two jobs
     rates: dict[int, list[tuple[float, float, float]]] = {1: [], 2: []}

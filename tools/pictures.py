@@ -50,7 +50,7 @@ class Workshop:
 def case_study(out: Path, workshop: Workshop) -> None:
     """The figure of `mast study case_study` in which three runs are side by side."""
     study = workshop.folder / "case_study"
-    finished = interface.run_once(definition.load("case_study", ()), study, runtime="inproc")
+    finished = interface.run_once(definition.load("case_study", ()).chosen(runtime="inproc"), study)
     html.write_study_report(study, finished.folders)
     out.write_bytes((study / "figures" / "side_by_side.png").read_bytes())
 

@@ -127,7 +127,7 @@ def study(
         options.refuse(invalid, problem, study_file)
         from mast_zenoh.study import attacked_run
 
-        folder, tables = attacked_run.compare(loaded, out, seed=seed, frames=frames, console=_out)
+        folder, tables = attacked_run.compare(loaded.chosen(seed=seed, frames=frames), out, console=_out)
         _out.print(tables.as_rich())
         for name in attacked_run.FILES:
             _out.plain(str(folder / name))

@@ -331,14 +331,7 @@ class Detour(socketserver.ThreadingTCPServer):
                     others[source].sendall(data)
 
 
-def compare(
-    study: Study,
-    out: Path | None = None,
-    *,
-    seed: int | None = None,
-    frames: int | None = None,
-    console: Console | None = None,
-) -> tuple[Path, ResultTables]:
+def compare(study: Study, out: Path | None = None, *, console: Console | None = None) -> tuple[Path, ResultTables]:
     """Play each run at each security level in real time, with the study's attempts; returns the folder and the tables.
 
     All runs are resolved and validated before the first one starts. study.json exists from the start, with a status,
@@ -346,7 +339,7 @@ def compare(
     run ends before the outsider has finished, and HandlerFailed if the code of an attempt fails.
     """
     console = console or Console(quiet=True)
-    options: Any = {"seed": study.seed if seed is None else seed, "frames": frames or study.frames, "mode": "realtime"}
+    options: Any = {"seed": study.seed, "frames": study.frames, "mode": "realtime"}
     resolved: dict[str, Resolved] = {}
     for each in study.configurations:
         file, loaded = scenario.load(each.scenario, (*study.scenes[0].settings, *each.settings))

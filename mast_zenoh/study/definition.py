@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -150,6 +150,10 @@ class Study:
     def factors(self) -> dict[str, Factors]:
         """By label of configuration, its factors."""
         return {each.label: each.factors for each in self.configurations}
+
+    def chosen(self, **options: Any) -> Study:
+        """The study with another seed, number of frames, runtime or number of trials: those that are not None."""
+        return replace(self, **{name: value for name, value in options.items() if value is not None})
 
     def trial_settings(self, seed: int, frames: int | None) -> tuple[str, ...]:
         """The settings of a trial that depend on its seed and its frames."""

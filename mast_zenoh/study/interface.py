@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -127,11 +127,10 @@ def carry_out(
         raise ConfigurationError(f"{loaded.path}: a security study runs only from the command line: mast study {study}")
     if runtime not in definition.RUNTIMES:
         raise ConfigurationError(f"runtime: found {runtime!r}, expected inproc or mesh")
+    chosen: dict[str, Any] = {"frames": frames, "seed": seed, "runtime": runtime, "trials": trials}
+    chosen |= {"candidates": candidates, "jobs": jobs, "cluster": cluster, "resume": resume}
     folder = None if out is None else Path(out)
-    chosen: dict[str, Any] = {"frames": frames, "seed": seed, "runtime": runtime, "allow_failures": allow_failures}
-    chosen["record"] = record
-    numbers: dict[str, Any] = {"trials": trials, "candidates": candidates, "jobs": jobs}
-    finished = run(loaded, folder, **numbers, cluster=cluster, resume=resume, **chosen)
+    finished = run(loaded, folder, **chosen, record=record, allow_failures=allow_failures)
     if isinstance(finished, StudyResult):
         _raise(finished, finished.out)
         return FinishedStudy(finished.out, finished.report, {}, as_text(finished.as_rich()))
@@ -149,31 +148,37 @@ def run(
     study: Study,
     out: Path | None,
     *,
-    trials: int | None,
-    jobs: int | None,
-    cluster: str | None,
-    resume: bool,
+    trials: int | None = None,
+    jobs: int | None = None,
+    cluster: str | None = None,
+    resume: bool = False,
     candidates: int | None = None,
+    seed: int | None = None,
+    frames: int | None = None,
+    runtime: str | None = None,
     **options: Any,
 ) -> ComparisonResult | StudyResult:
     """Run every configuration once, or trials of all if their number is given, or an option of trials; or search.
 
-    candidates: of a search, instead of the study's own number
+    candidates, trials, seed, frames, runtime: instead of the study's own
     options: of `run_once`, `trials.run` and `searching.run`
     Raises ConfigurationError for candidates of a study without a search.
     """
     if candidates is not None:
         study = with_candidates(study, candidates)
     count = trials or study.trials
-    if study.search is not None:
+    if count is None and not (jobs or cluster or resume):
+        return run_once(study.chosen(seed=seed, frames=frames, runtime=runtime), out, **options)
+    if study.trials is None:
+        study = replace(study, runtime=None)  # which is that of single runs
+    if study.search is None:
+        play: Callable[..., StudyResult] = repeated_runs.run
+    else:
         from mast_zenoh.study.search import searching  # other studies do without
 
-        jobs = jobs or execution.default_jobs()
-        return searching.run(study, out, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **options)
-    if count is None and not (jobs or cluster or resume):
-        return run_once(study, out, **options)
-    jobs = jobs or execution.default_jobs()
-    return repeated_runs.run(study, out, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **options)
+        play = searching.run
+    study, jobs = study.chosen(seed=seed, frames=frames, runtime=runtime), jobs or execution.default_jobs()
+    return play(study, out, count=count or 1, jobs=jobs, cluster=cluster, resume=resume, **options)
 
 
 def with_candidates(study: Study, count: int) -> Study:
@@ -221,27 +226,22 @@ def run_once(
     study: Study,
     out: Path | None = None,
     *,
-    seed: int | None = None,
-    frames: int | None = None,
-    runtime: str | None = None,
     allow_failures: bool = False,
     record: bool = False,
     console: Console | None = None,
 ) -> ComparisonResult:
     """Run every configuration once, in the first scene, in its own run folder.
 
-    All configurations are resolved and validated before the first run starts. Arguments that are not None override
-    the study's own. record: write every message to messages.mcap
+    All configurations are resolved and validated before the first run starts.
+    record: write every message to messages.mcap
     If a run fails, its error is raised after its run folder has been written. Failed handlers do not stop the other
     runs: `ComparisonResult.raise_failures` raises their error.
     """
-    seed = study.seed if seed is None else seed
-    frames = frames or study.frames
-    resolved = {each.label: _resolve(study, each, seed, frames, record) for each in study.configurations}
-    driven = _resolve_driven(study, seed, frames)
+    resolved = {each.label: _resolve(study, each, study.frames, record) for each in study.configurations}
+    driven = _resolve_driven(study)
     folder = new_folder(out, study.name)
     status_file, runs = folder / "study.json", dict[str, launcher.EndedRun]()
-    chosen_runtime = runtime or study.runtime or "mesh"
+    runtime = study.runtime or "mesh"
 
     def write_status(status: str) -> None:
         run_folder.write_json(status_file, {"name": study.name, "status": status, "runs": list(runs)})
@@ -250,12 +250,12 @@ def run_once(
         for configuration in study.configurations:
             label = configuration.label
             settings = (*study.scenes[0].settings, *configuration.settings)
-            command = run_command(configuration.scenario, settings, seed, frames)
+            command = run_command(configuration.scenario, settings, study.seed, study.frames)
             finished = launcher.run(
                 resolved[label],
                 folder / label,
-                command=[*command, "--runtime", chosen_runtime, *([] if record else ["--no-record"])],
-                runtime=chosen_runtime,
+                command=[*command, "--runtime", runtime, *([] if record else ["--no-record"])],
+                runtime=runtime,
                 allow_failures=allow_failures,
                 console=console,
             )
@@ -296,15 +296,16 @@ def drive(finished: ComparisonResult) -> DrivenResult | None:
         return DrivenResult(folder, folder / twin.FOLDER, error)
 
 
-def _resolve_driven(study: Study, seed: int, frames: int | None) -> Resolved | None:
+def _resolve_driven(study: Study) -> Resolved | None:
     """The resolved run with drivers; None: the study has none."""
     if study.driven is None:
         return None
-    limits = [limit for limit in (frames, study.driven.frames) if limit is not None]
-    return _resolve(study, study.driven.configuration, seed, min(limits, default=None), record=True)
+    limits = [limit for limit in (study.frames, study.driven.frames) if limit is not None]
+    return _resolve(study, study.driven.configuration, min(limits, default=None), record=True)
 
 
-def _resolve(study: Study, configuration: Configuration, seed: int, frames: int | None, record: bool) -> Resolved:
+def _resolve(study: Study, configuration: Configuration, frames: int | None, record: bool) -> Resolved:
     """The fully resolved run of one configuration."""
     file, loaded = scenario.load(configuration.scenario, (*study.scenes[0].settings, *configuration.settings))
-    return scenario.resolve(file, loaded | {"name": configuration.label}, seed=seed, frames=frames, record=record)
+    content = loaded | {"name": configuration.label}
+    return scenario.resolve(file, content, seed=study.seed, frames=frames, record=record)

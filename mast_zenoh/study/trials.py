@@ -41,9 +41,6 @@ def run(
     jobs: int = 1,
     cluster: str | None = None,
     resume: bool = False,
-    seed: int | None = None,
-    frames: int | None = None,
-    runtime: str | None = None,
     allow_failures: bool = False,
     record: bool = False,
     console: Console | None = None,
@@ -51,7 +48,7 @@ def run(
     """Run every configuration in every scene with `count` seeds, and write the tables.
 
     allow_failures: whether a trial counts even if handlers of its nodes failed
-    jobs, cluster:  see `execution.workers`; seed, frames, runtime: override the study's own where not None
+    jobs, cluster:  see `execution.workers`
     record:         keep the recorded run of each trial, in `runs` of the study's folder; not on a cluster
     resume:         continue in the folder `out`, without repeating finished trials
 
@@ -59,10 +56,7 @@ def run(
     """
     console = console or Console(quiet=True)
     check_environment(console, jobs, cluster, record=record)
-    seed = study.seed if seed is None else seed
-    runtime = runtime or (study.runtime if study.trials else None) or "inproc"
-    frames = frames or study.frames
-    trials = plan(study, count=count, seed=seed, frames=frames, runtime=runtime, allow_failures=allow_failures)
+    trials = plan(study, count=count, allow_failures=allow_failures)
     store = Store.create(out, study, resume=resume)
     store.refuse_other(study, trials)
     if record:
@@ -136,17 +130,17 @@ def keep(
         progress.advance(bar)
 
 
-def plan(
-    study: Study, *, count: int, seed: int, frames: int | None, runtime: str, allow_failures: bool = False
-) -> list[Trial]:
+def plan(study: Study, *, count: int, allow_failures: bool = False) -> list[Trial]:
     """One trial per configuration, scene and seed, grouped by scene and seed.
 
+    count: number of seeds, from the study's own on
     allow_failures: whether a trial counts even if handlers of its nodes failed
 
     Every configuration is resolved in every scene with the first seed. Raises what `scenario.load` and
     `scenario.resolve` raise, and ConfigurationError for a study of a shipped kind on calibration data, or of any
     kind with an attack that begins after the end.
     """
+    seed, frames, runtime = study.seed, study.frames, study.runtime or "inproc"
     by_seed: list[list[Trial]] = [[] for _ in range(count)]
     result = []
     for study_scene in study.scenes:

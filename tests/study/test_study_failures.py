@@ -36,7 +36,8 @@ def study(tmp_path: Path) -> definition.Study:
 @pytest.mark.mesh
 def test_failed_handler_of_a_trial_is_reported_with_location_and_command_on_a_mesh_too(study, tmp_path: Path) -> None:
     failed, on_mesh = (
-        trials.run(study, tmp_path / runtime, count=1, runtime=runtime).facts.failed for runtime in ("inproc", "mesh")
+        trials.run(study.chosen(runtime=runtime), tmp_path / runtime, count=1).facts.failed
+        for runtime in ("inproc", "mesh")
     )
     assert [each.configuration for each in failed] == ["first"]
     assert failed[0].error.startswith("HandlerFailed: handlers failed, so the numbers may be wrong:")
@@ -56,12 +57,12 @@ def test_trials_with_allowed_failures_are_repeated_once_failures_are_not_allowed
 
 
 def test_comparison_finishes_all_runs_before_raising(study, tmp_path: Path) -> None:
-    ended = interface.run_once(study, tmp_path / "out", runtime="inproc")
+    ended = interface.run_once(study.chosen(runtime="inproc"), tmp_path / "out")
     assert set(ended.folders) == {"first", "baseline"}
     assert all((folder / "metrics.json").is_file() for folder in ended.folders.values())
     with pytest.raises(HandlerFailed, match="in run first, handlers failed"):
         ended.raise_failures()
-    interface.run_once(study, tmp_path / "allowed", runtime="inproc", allow_failures=True).raise_failures()
+    interface.run_once(study.chosen(runtime="inproc"), tmp_path / "allowed", allow_failures=True).raise_failures()
 
 
 @pytest.mark.parametrize(("words", "code", "result"), [((), 30, "report.html"), (("--trials", "1"), 24, "table.md")])

@@ -51,9 +51,9 @@ def test_recorded_trials_are_refused_on_a_cluster(small: definition.Study, tmp_p
 
 
 def test_runs_of_single_configurations_are_recorded_or_say_how_to(small: definition.Study, tmp_path: Path) -> None:
-    kept = interface.run_once(small, tmp_path / "kept", runtime="inproc", record=True)
+    kept = interface.run_once(small.chosen(runtime="inproc"), tmp_path / "kept", record=True)
     assert all(file_of(folder) for folder in kept.folders.values())
-    plain = interface.run_once(small, tmp_path / "plain", runtime="inproc")
+    plain = interface.run_once(small.chosen(runtime="inproc"), tmp_path / "plain")
     with pytest.raises(RunFolderError) as caught:
         file_of(plain.folders["attacked-1-5.0"])
     command = str(caught.value).rpartition("with a recording: ")[2]

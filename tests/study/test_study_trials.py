@@ -210,7 +210,7 @@ def test_the_command_of_a_trial_reproduces_its_numbers(small, whole, tmp_path: P
 
 
 def test_worker_with_different_code_or_versions_runs_no_trial(small) -> None:
-    planned = trials.plan(small, count=1, seed=0, frames=8, runtime="inproc")
+    planned = trials.plan(small.chosen(seed=0, frames=8, runtime="inproc"), count=1)
     outcome = execution.run(replace(planned[0], environment=(("numpy", "0.1"),)))
     assert "numpy: this worker has" in outcome.error
     assert "the study was started with 0.1" in outcome.error
@@ -233,8 +233,8 @@ def test_an_ineffective_attack_has_zero_increments_in_every_frame(small, tmp_pat
 
 def test_digest_covers_configuration_seed_frames_and_user_files(small, tmp_path: Path) -> None:
     def digests(study: definition.Study, **more) -> set[str]:
-        options = dict(count=2, seed=0, frames=8, runtime="inproc") | more
-        return {each.digest for each in trials.plan(study, **options)}
+        options = dict(seed=0, frames=8, runtime="inproc") | more
+        return {each.digest for each in trials.plan(study.chosen(**options), count=2)}
 
     first = digests(small)
     assert len(first) == 6
@@ -300,7 +300,7 @@ def test_a_folder_with_trials_that_the_tables_would_lack_is_not_continued(
     (tmp_path / "small.py").write_text(Path(small.path).read_text().replace(in_file, in_stored))
     other = definition.load(str(tmp_path / "small.py"))
     folder = tmp_path / "out"
-    planned = trials.plan(other, count=1, seed=0, frames=other.frames, runtime="inproc")
+    planned = trials.plan(other.chosen(seed=0, frames=other.frames, runtime="inproc"), count=1)
     Store.create(folder, other, resume=False).write_status(other, planned, {}, "ok")
     before = (folder / "study.json").read_bytes()
     with pytest.raises(RunFolderError, match=message):

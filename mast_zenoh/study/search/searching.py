@@ -59,9 +59,6 @@ def run(
     jobs: int = 1,
     cluster: str | None = None,
     resume: bool = False,
-    seed: int | None = None,
-    frames: int | None = None,
-    runtime: str | None = None,
     allow_failures: bool = False,
     record: bool = False,
     console: Console | None = None,
@@ -77,8 +74,6 @@ def run(
     """
     console = console or Console(quiet=True)
     trials.check_environment(console, jobs, cluster, record=record)
-    seed = study.seed if seed is None else seed
-    study = replace(study, seed=seed, frames=frames or study.frames, runtime=runtime or study.runtime or "inproc")
     check_ranges(study)
     store = Store.create(out, study, resume=resume)
     search = Search(study, store, console, (jobs, cluster), allow_failures=allow_failures)
@@ -193,9 +188,8 @@ class Search:
         return outcome
 
     def _planned(self, configurations: tuple[Configuration, ...], count: int, first: int) -> list[Trial]:
-        study = replace(self.study, configurations=configurations)
-        how: dict[str, Any] = dict(frames=study.frames, runtime=study.runtime, allow_failures=self._allow_failures)
-        return trials.plan(study, count=count, seed=first, **how)
+        study = replace(self.study, configurations=configurations, seed=first)
+        return trials.plan(study, count=count, allow_failures=self._allow_failures)
 
     def _run(self, todo: Sequence[Trial], bar: TaskID) -> None:
         """Run the trials that are not done, each once, and store their outcomes."""

@@ -71,7 +71,7 @@ SMALL = ["defences=NoIntegrity,KOfN", "adversaries=coordinated", "counts=1", "n_
 
 def planned(*settings: str, seed: int = 0, count: int = 1) -> list[trials.Trial]:
     study = definition.load("defences", [*SMALL, *settings])
-    return trials.plan(study, count=count, seed=seed, frames=8, runtime="inproc")
+    return trials.plan(study.chosen(seed=seed, frames=8, runtime="inproc"), count=count)
 
 
 @pytest.mark.parametrize(
@@ -264,7 +264,7 @@ def test_a_users_own_kind_is_one_file_that_workers_find_by_its_name(tmp_path: Pa
     (tmp_path / "mine.py").write_text(KIND)
     study = definition.load(str(tmp_path / "mine.py"))
     assert kind_of(study.evaluation).__name__ == "Misses"
-    first = trials.plan(study, count=1, seed=0, frames=5, runtime="inproc")
+    first = trials.plan(study.chosen(seed=0, frames=5, runtime="inproc"), count=1)
     finished = mast.study(tmp_path / "mine.py", jobs=1, out=tmp_path / "study")
     assert (finished.path / "misses.md").read_text().splitlines()[-1].startswith("| 2 | ")
     assert "1,fn," in (finished.path / "misses.csv").read_text()
@@ -273,7 +273,7 @@ def test_a_users_own_kind_is_one_file_that_workers_find_by_its_name(tmp_path: Pa
     assert [(row["poles"], row["who"], row["metric"]) for row in rows] == [(1, "all", "fn"), (2, "all", "fn")]
     (tmp_path / "mine.py").write_text(KIND.replace('Misses"', 'Missed"'))
     trial.files_key.cache_clear()  # as in a new process
-    again = trials.plan(definition.load(str(tmp_path / "mine.py")), count=1, seed=0, frames=5, runtime="inproc")
+    again = trials.plan(definition.load(str(tmp_path / "mine.py")).chosen(seed=0, frames=5, runtime="inproc"), count=1)
     assert first[0].digest != again[0].digest, "a changed file is another trial"
 
 

@@ -230,7 +230,7 @@ def test_the_liar_moves_one_object_and_hears_nothing_of_its_suspension() -> None
 def test_calibration_data_are_refused(name: str) -> None:
     study = definition.load(name, ["scenes=intersection:3"])
     with pytest.raises(ConfigurationError, match="intersection:3: thresholds were calibrated"):
-        trials.plan(study, count=1, seed=0, frames=8, runtime="inproc")
+        trials.plan(study.chosen(seed=0, frames=8, runtime="inproc"), count=1)
 
 
 def test_a_small_study_is_carried_out(tmp_path: Path) -> None:

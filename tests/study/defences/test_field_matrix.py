@@ -68,7 +68,7 @@ def test_several_numbers_of_adversaries_can_be_chosen_on_the_command_line() -> N
 def test_an_attack_that_begins_after_the_end_is_refused_before_anything_runs() -> None:
     study = definition.load("matrix", ["kinds=poles", "attack_start_s=3000"])
     with pytest.raises(ConfigurationError, match=r"begins at 3000 s, and the trials end after 5 s: expected more"):
-        trials.plan(study, count=1, seed=0, frames=50, runtime="inproc")
+        trials.plan(study.chosen(seed=0, frames=50, runtime="inproc"), count=1)
 
 
 @pytest.mark.parametrize("preset", ["quick", "scoreboard", "full"])
@@ -418,7 +418,7 @@ def test_every_published_quantity_is_computed_from_trials_of_its_method() -> Non
 def test_processor_time_is_that_of_the_run_without_scene_and_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
     chosen = ["defences=NoIntegrity", "adversaries=coordinated", "kinds=poles", "attack_start_s=0.3"]
     study = definition.load("matrix", chosen)
-    planned = trials.plan(study, count=1, seed=0, frames=8, runtime="inproc")
+    planned = trials.plan(study.chosen(seed=0, frames=8, runtime="inproc"), count=1)
     now_s = [0.0]
 
     def costly(function: Any) -> Any:
