@@ -61,7 +61,7 @@ def _of_file(file: Path, name: str | None) -> type[Engine]:
         )
     module = loading.module(file)
     known = loading.concrete([module], Engine)
-    classes = {engine.__name__: engine for engine in known if engine.__module__ == module.__name__}
+    classes: dict[str, type[Engine]] = {each.__name__: each for each in known if each.__module__ == module.__name__}
     if name is None and len(classes) != 1:
         engines = ", ".join(sorted(classes)) or "none"
         raise EngineError(f"{file}: found the engines {engines}, expected one, or --engine {file}:NAME")

@@ -12,7 +12,7 @@ supervisor    starts, watches and ends nodes;  processes: as processes of this m
 engine        base class of deployment engines;  file_server: files for their nodes
 netns         the hosts of a run as network namespaces
 reports       what nodes report: failures of handlers, results
-conclusion    writes the results at the end;  notices: what deserves attention
+conclusion    writes the results at the end, and the scene of driven cars;  notices: what deserves attention
 ending        maps endings to a status and an exit code;  liveness: whether the launcher of a run.json is alive
 log_reading   the logs of a run's nodes;  table_files: the tables that nodes hand in part by part
 display       progress on the console;  observation: what it shows, measured on the wires

@@ -258,27 +258,23 @@ class Processes(Supervisor[Process]):
         end_strays(self.run, self._groups)
 
     def _spawn(self, name: str, spec: NodeSpec, log: IO[bytes]) -> subprocess.Popen[bytes] | Forked:
-        process = self._spawned(name, spec, log)
+        command, environment = self.command(name, spec), {**os.environ, **ENVIRONMENT, RUN: self.run}
+        process: subprocess.Popen[bytes] | Forked
+        if command[: len(_NODE)] == _NODE and can_fork_nodes():
+            self._server = self._server or ForkServer(environment)
+            process = self._server.start(command, self.folder, log)
+        else:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                cwd=self.folder,
+                env=environment,
+                start_new_session=True,
+            )
         self._groups.add(process.pid)
         return process
-
-    def _spawned(self, name: str, spec: NodeSpec, log: IO[bytes]) -> subprocess.Popen[bytes] | Forked:
-        command = self.command(name, spec)
-        if command[: len(_NODE)] == _NODE and can_fork_nodes():
-            self._server = self._server or ForkServer(self._environment())
-            return self._server.start(command, self.folder, log)
-        return subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            cwd=self.folder,
-            env=self._environment(),
-            start_new_session=True,
-        )
-
-    def _environment(self) -> dict[str, str]:
-        return {**os.environ, **ENVIRONMENT, RUN: self.run}
 
 
 def _close(process: subprocess.Popen[bytes] | Forked) -> None:

@@ -30,7 +30,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.control import failures, prefix
 from mast_zenoh.control.failures import described
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, MastError, RunError, nearest
-from mast_zenoh.launch import ending, run
+from mast_zenoh.launch import run
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
@@ -351,16 +351,13 @@ def compare(study: Study, out: Path | None = None, *, console: Console | None = 
         content = {"name": study.name, "status": status, "security": list(study.security), "rows": rows}
         run_folder.write_json(status_file, content)
 
-    with status_written(status_file, write_status):
-        try:
-            for label, level in itertools.product(resolved, study.security):
-                console.print(f"[dim]{label} at {level}: {len(study.attempts)} attempts of an outsider")
-                outcomes = attack(resolved[label], folder / f"{label}-{level}", level, study.attempts)
-                for name, outcome in outcomes.items():
-                    row = {"run": label, "level": level, "attempt": name, **asdict(outcome)}
-                    rows.append(row | {"succeeded": outcome.succeeded})
-        except KeyboardInterrupt as caught:
-            raise ending.with_hint(caught, f"results so far are in {status_file}") from None
+    with status_written(status_file, write_status, f"results so far are in {status_file}"):
+        for label, level in itertools.product(resolved, study.security):
+            console.print(f"[dim]{label} at {level}: {len(study.attempts)} attempts of an outsider")
+            outcomes = attack(resolved[label], folder / f"{label}-{level}", level, study.attempts)
+            for name, outcome in outcomes.items():
+                row = {"run": label, "level": level, "attempt": name, **asdict(outcome)}
+                rows.append(row | {"succeeded": outcome.succeeded})
     tables = tables_of(rows)
     for name, content in zip(FILES, (tables.as_markdown(), tables.as_csv()), strict=True):
         (folder / name).write_text(content, encoding="utf-8")

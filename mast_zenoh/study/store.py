@@ -12,7 +12,7 @@ import pyarrow
 from pyarrow import parquet
 
 from mast_zenoh import run_folder
-from mast_zenoh.errors import RunError, RunFolderError
+from mast_zenoh.errors import Interrupted, RunError, RunFolderError
 from mast_zenoh.launch import ending, stop_signals
 from mast_zenoh.run_folder import check_plain, parse_json, read_json, subfolder
 from mast_zenoh.run_folder.recording.writer import FILE as RECORDING
@@ -32,10 +32,11 @@ def new_folder(out: Path | None, name: str) -> Path:
 
 
 @contextmanager
-def status_written(file: Path, write: Callable[[str], None]) -> Iterator[None]:
+def status_written(file: Path, write: Callable[[str], None], hint: str = "") -> Iterator[None]:
     """Write the status `running`, run the block, and write how it ended.
 
     file: that `write` writes; room for it is reserved, so that a full disk does not leave it at `running`
+    hint: of what to do after an interruption, or an error of the operating system
     Stop signals that come while the final status is written are ignored.
     """
     write(ending.RUNNING)
@@ -43,6 +44,8 @@ def status_written(file: Path, write: Callable[[str], None]) -> Iterator[None]:
     try:
         run_folder.reserve(file.parent, 2 * file.stat().st_size)  # errors of trials are added
         yield
+    except (KeyboardInterrupt, Interrupted, OSError) as raised:
+        caught = ending.with_hint(raised, hint) if hint else raised
     except BaseException as raised:
         caught = raised
     with stop_signals.collected():

@@ -21,9 +21,8 @@ from rich.progress import (
 from mast_zenoh import kernels, scenario, scenes
 from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.errors import ConfigurationError, Interrupted
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity.calibration import refuse_calibration_data
-from mast_zenoh.launch import ending
 from mast_zenoh.scenario.timeline import attack_starts
 from mast_zenoh.study import execution, tables
 from mast_zenoh.study import trial as identity
@@ -70,19 +69,15 @@ def run(
     def write_status(status: str) -> None:
         store.write_status(study, trials, failures, status)
 
-    with status_written(store.status_file, write_status):
-        try:
-            if pending:
-                with (
-                    progress_bars(console) as progress,
-                    execution.workers(min(jobs, len(pending)), cluster) as run_trials,
-                    closing(run_trials(pending)) as outcomes,
-                ):
-                    keep(outcomes, store, failures, progress, progress.add_task("trials", total=len(pending)))
-            finished = tables.write(study, store, trials, failures)
-        except (KeyboardInterrupt, Interrupted, OSError) as caught:
-            raise ending.with_hint(caught, how_to_continue(store)) from None
-    return finished
+    with status_written(store.status_file, write_status, how_to_continue(store)):
+        if pending:
+            with (
+                progress_bars(console) as progress,
+                execution.workers(min(jobs, len(pending)), cluster) as run_trials,
+                closing(run_trials(pending)) as outcomes,
+            ):
+                keep(outcomes, store, failures, progress, progress.add_task("trials", total=len(pending)))
+        return tables.write(study, store, trials, failures)
 
 
 def check_environment(console: Console, jobs: int, cluster: str | None, *, record: bool) -> None:

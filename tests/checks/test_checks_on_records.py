@@ -28,8 +28,7 @@ from planted import (
 
 import mast_zenoh as mast
 from mast_zenoh import checks
-from mast_zenoh.checks import RunCheck, convergence
-from mast_zenoh.checks.runs import apply
+from mast_zenoh.checks import RunCheck, apply, convergence
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.messages import codec
 from mast_zenoh.metrics.estimates import PICTURE

@@ -7,6 +7,8 @@ from dataclasses import replace
 from itertools import product
 from typing import Any
 
+from matplotlib.axes import Axes
+
 from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
 from mast_zenoh.report.figures.facets import Axis, HeatMap, facet, heat_facet, marks
@@ -83,14 +85,10 @@ def _damage(matrix: MatrixTable) -> RenderedFigure:
 
 
 def _delays(matrix: MatrixTable) -> RenderedFigure:
-    figure = Figure(figsize=(7.0, 3.8), layout="constrained", facecolor="white")
-    axes = figure.subplots()
-    light_axes(axes)
+    figure, axes = _empty((7.0, 3.8), "s since the first observable lie", "liars not suspended yet (%)")
     for defence, delay in matrix.delays.items():
         label = f"{defence}: {delay.detections} of {delay.watched}"
         axes.step(delay.time_s, 100.0 * delay.undetected, where="post", **_line(matrix, defence, label))
-    axes.set_xlabel("s since the first observable lie", fontsize=9.5, color=INK)
-    axes.set_ylabel("liars not suspended yet (%)", fontsize=9.5, color=INK)
     axes.set_ylim(0.0, 103.0)
     axes.set_xlim(left=0.0)
     axes.legend(frameon=False, fontsize=9, labelcolor=INK, title="suspended", alignment="left")
@@ -105,19 +103,26 @@ def _delays(matrix: MatrixTable) -> RenderedFigure:
 
 
 def _rocs(matrix: MatrixTable) -> RenderedFigure:
-    figure = Figure(figsize=(5.6, 4.4), layout="constrained", facecolor="white")
-    axes = figure.subplots()
-    light_axes(axes)
+    above = "agent-runs above the threshold (%)"
+    figure, axes = _empty((5.6, 4.4), f"honest {above}", f"lying {above}")
     axes.plot([0, 100], [0, 100], color=LOCAL, linewidth=0.8)
     for each in matrix.rocs:
         x, y = 100.0 * each.roc.false_positive_rate, 100.0 * each.roc.true_positive_rate
         axes.plot(x, y, **_line(matrix, each.defence, f"{each.defence}: AUC {number(each.auc.value)}"))
-    axes.set_xlabel("honest agent-runs above the threshold (%)", fontsize=9.5, color=INK)
-    axes.set_ylabel("lying agent-runs above the threshold (%)", fontsize=9.5, color=INK)
     axes.legend(frameon=False, fontsize=9, labelcolor=INK, loc="lower right")
     caption = paragraph("figure_roc")
     values = "; ".join(f"{each.defence} {number(each.auc.value)}" for each in matrix.rocs)
     return render("roc", figure, f"Receiver operating characteristics, areas below: {values}.", caption, printed=True)
+
+
+def _empty(size: tuple[float, float], x_label: str, y_label: str) -> tuple[Figure, Axes]:
+    """A figure of this size, in inches, with one pair of axes."""
+    figure = Figure(figsize=size, layout="constrained", facecolor="white")
+    axes = figure.subplots()
+    light_axes(axes)
+    axes.set_xlabel(x_label, fontsize=9.5, color=INK)
+    axes.set_ylabel(y_label, fontsize=9.5, color=INK)
+    return figure, axes
 
 
 def _line(matrix: MatrixTable, defence: str, label: str) -> dict[str, Any]:

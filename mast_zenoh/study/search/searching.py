@@ -35,8 +35,7 @@ from mast_zenoh import scenario
 from mast_zenoh.attacks import Attack, Coordination
 from mast_zenoh.config import loading
 from mast_zenoh.config.registry import known_types
-from mast_zenoh.errors import ConfigurationError, Interrupted
-from mast_zenoh.launch import ending
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.study import execution, numbers, tables, trials
 from mast_zenoh.study.definition import Configuration, Study, settings_of
 from mast_zenoh.study.numbers import ego
@@ -77,21 +76,17 @@ def run(
     check_ranges(study)
     store = Store.create(out, study, resume=resume)
     search = Search(study, store, console, (jobs, cluster), allow_failures=allow_failures)
-    with status_written(store.status_file, search.write_status):
-        try:
-            with search.progress, search.workers:
-                candidates = search.find()
-                held_out = search.hold_out(count, record=record)
-            study = search.study
-            rows = results.rows(study, held_out, store, search.values)
-            found = SearchResults(study, candidates, rows, defaults(study), count)
-            from mast_zenoh.study.search import report  # drawing libraries are slow to load
+    with status_written(store.status_file, search.write_status, trials.how_to_continue(store)):
+        with search.progress, search.workers:
+            candidates = search.find()
+            held_out = search.hold_out(count, record=record)
+        study = search.study
+        rows = results.rows(study, held_out, store, search.values)
+        found = SearchResults(study, candidates, rows, defaults(study), count)
+        from mast_zenoh.study.search import report  # drawing libraries are slow to load
 
-            own = report.write(store.folder, found)
-            finished = tables.write(study, store, held_out, search.failures, own)
-        except (KeyboardInterrupt, Interrupted, OSError) as caught:
-            raise ending.with_hint(caught, trials.how_to_continue(store)) from None
-    return finished
+        own = report.write(store.folder, found)
+        return tables.write(study, store, held_out, search.failures, own)
 
 
 class Search:

@@ -2,7 +2,7 @@
 
 world       what is simulated: `World.of(resolved)`; what disturbs it: `random_schedule(seed, world)`
 simulation  `play(world, schedule)`: the run with the protocols of the nodes, the driver and the launcher
-            network: messages, tokens, declarations;  processes: of nodes;  launcher
+            network: messages, tokens, declarations;  processes: of nodes
 promises    `check`: what must hold of every run;  `explore`: many seeds;  `simplest`: fewer disturbances;
             `undisturbed`: the run with which others are compared
 """

@@ -41,7 +41,7 @@ KILLED, ORPHANED, CRASHED = -9, 3, 1  #: exit codes
 
 
 class LauncherEnd(Protocol):
-    """The launcher, as far as processes know it; see launcher.SimulatedLauncher."""
+    """The launcher, as far as processes know it; see simulation.SimulatedLauncher."""
 
     alive: bool
     state: RunState
