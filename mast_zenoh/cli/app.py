@@ -140,16 +140,11 @@ def study(
             from mast_zenoh.report import html, terminal  # after the runs: drawing libraries are slow to load
 
             terminal.show(_out, finished.folders)
-            driven = interface.drive(finished)
-            folders = driven.folders if driven else None
-            if folders is not None:
-                terminal.show_driven(_out, *folders)
-            _out.plain(f"report: {html.write_study_report(finished.out, finished.folders, driven=folders)}")
+            if driven := finished.drive():
+                terminal.show_driven(_out, *driven)
+            _out.plain(f"report: {html.write_study_report(finished.out, finished.folders, driven=driven)}")
         for label, run_ in finished.runs.items():
             options.show_notices(run_, f"{label}: ")
-        if driven and driven.error:
-            finished.raise_failures()
-            raise driven.error
     else:
         _out.print(finished.as_rich())
         for path in (*finished.files, f"report: {finished.report}"):

@@ -136,11 +136,8 @@ def carry_out(
         return FinishedStudy(finished.out, finished.report, {}, as_text(finished.as_rich()))
     from mast_zenoh.report.html import write_study_report  # drawing libraries are slow to load
 
-    driven = drive(finished)
-    page = write_study_report(finished.out, finished.folders, driven=driven.folders if driven else None)
+    page = write_study_report(finished.out, finished.folders, driven=finished.drive())
     _raise(finished, finished.out)
-    if driven and driven.error:
-        raise driven.error
     return FinishedStudy(finished.out, page, {label: OpenedRun(path) for label, path in finished.folders.items()})
 
 
@@ -199,27 +196,48 @@ def _raise(finished: Any, folder: Path) -> None:
         raise
 
 
-@dataclass(frozen=True)
+@dataclass
 class ComparisonResult:
     """A finished study: its folder, and the run of each configuration by label.
 
     driven: the run with drivers that is still to be run, see `drive`; None: none
+    error: why that has no result; None: it has one, or has not been run
     """
 
     out: Path
     runs: dict[str, launcher.EndedRun]
     driven: Resolved | None = None
+    error: MastError | None = None
 
     @property
     def folders(self) -> dict[str, Path]:
         """The run folder of each configuration."""
         return {label: finished.folder for label, finished in self.runs.items()}
 
+    def drive(self) -> tuple[Path, Path] | None:
+        """Run the run with drivers and its unattacked twin, in this process; their folders, None without a result.
+
+        Its error is kept, so that the report of the other runs can be written first.
+        """
+        if self.driven is None:
+            return None
+        folder = self.out / DRIVEN
+        try:
+            ended = launcher.run(self.driven, folder, runtime="inproc")
+            if ended.error:
+                raise ended.error
+            return folder, twin.of(folder, allowed=OWN_RUN)
+        except MastError as error:
+            self.error = error
+            return None
+
     def raise_failures(self) -> None:
-        """Raises HandlerFailed if handlers failed in any run and that was not allowed."""
+        """Raises HandlerFailed if handlers failed in any run and that was not allowed, or the error of `drive`."""
         failed = [f"in run {label}, {finished.error}" for label, finished in self.runs.items() if finished.error]
         if failed:
             raise HandlerFailed("\n".join(failed))
+        if self.error:
+            raise self.error
 
 
 def run_once(
@@ -263,37 +281,6 @@ def run_once(
                 raise finished.error
             runs[label] = finished
     return ComparisonResult(folder, runs, driven)
-
-
-@dataclass(frozen=True)
-class DrivenResult:
-    """A run with drivers and its unattacked twin: their folders. error: why there is no result; None: there is one"""
-
-    folder: Path
-    twin: Path
-    error: MastError | None = None
-
-    @property
-    def folders(self) -> tuple[Path, Path] | None:
-        """Both folders; None if there is no result."""
-        return None if self.error else (self.folder, self.twin)
-
-
-def drive(finished: ComparisonResult) -> DrivenResult | None:
-    """Run the study's run with drivers and its unattacked twin, in this process; None: it has none.
-
-    Its errors are returned, so that the report of the other runs can be written first.
-    """
-    if finished.driven is None:
-        return None
-    folder = finished.out / DRIVEN
-    try:
-        ended = launcher.run(finished.driven, folder, runtime="inproc")
-        if ended.error:
-            raise ended.error
-        return DrivenResult(folder, twin.of(folder, allowed=OWN_RUN))
-    except MastError as error:
-        return DrivenResult(folder, folder / twin.FOLDER, error)
 
 
 def _resolve_driven(study: Study) -> Resolved | None:
