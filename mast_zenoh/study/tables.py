@@ -15,7 +15,6 @@ import pyarrow
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import TrialsFailed
 from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Statistic, StudyFacts, StudyRow, StudySeries
-from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.study import numbers, statistics
 from mast_zenoh.study.defences import kinds
@@ -102,17 +101,8 @@ def write(
         "table.md": study_table.as_markdown(rows, facts),
         "table.tex": study_table.as_latex(rows, facts),
     }
-    for name, text in texts.items():
-        write_bytes(store.folder / name, text.encode())
     figures = {} if kind else figures_over_trials(rows, facts)
-    for item in figures.values():
-        item.save(store.folder)
-    names = [
-        "results.parquet",
-        "frames.parquet",
-        *texts,
-        *(name for figure in figures.values() for name in figure.names),
-    ]
+    names = ["results.parquet", "frames.parquet", *kinds.write_files(store.folder, texts, figures)]
     own = kind.write(store.folder) if kind else searched
     if own is not None:
         figures = {**own.figures, **figures}

@@ -135,15 +135,19 @@ class Kind(ABC):
         texts = tables.texts(self.name)
         for name, more in self.more_tables(table).items():
             texts |= more.texts(name)
-        for name, text in texts.items():
-            write_bytes(folder / name, text.encode())
         for name in {*self.drawn} - {*figures}:
             for suffix in ("png", "pdf"):
                 (folder / f"{name}.{suffix}").unlink(missing_ok=True)
-        for figure in figures.values():
-            figure.save(folder)
-        names = [*texts, *(name for figure in figures.values() for name in figure.names)]
-        return StudyFiles(tables, figures, names)
+        return StudyFiles(tables, figures, write_files(folder, texts, figures))
+
+
+def write_files(folder: Path, texts: Mapping[str, str], figures: Mapping[str, RenderedFigure]) -> list[str]:
+    """Write texts, by name of their files, and figures into the folder of a study; returns the names of all files."""
+    for name, text in texts.items():
+        write_bytes(folder / name, text.encode())
+    for figure in figures.values():
+        figure.save(folder)
+    return [*texts, *(name for figure in figures.values() for name in figure.names)]
 
 
 def name_of_kind(kind: type[Kind]) -> str:

@@ -6,6 +6,7 @@ attack, and have no panel beside them.
 
 from __future__ import annotations
 
+import json
 import math
 import textwrap
 from collections.abc import Sequence
@@ -34,8 +35,7 @@ from mast_zenoh.report.tables.text_table import (
     shown,
     table_of_rows,
 )
-from mast_zenoh.run_folder import write_bytes
-from mast_zenoh.study.defences.kinds import StudyFiles
+from mast_zenoh.study.defences.kinds import StudyFiles, write_files
 from mast_zenoh.study.search.plan import SEARCHED, as_text
 from mast_zenoh.study.search.results import ESTIMATES, SearchResults
 from mast_zenoh.viewer.palette import INK, LOCAL, RUN_COLOURS
@@ -48,12 +48,10 @@ def write(folder: Path, results: SearchResults) -> StudyFiles:
         "search.md": tables.as_markdown(),
         "search.csv": tables.as_csv(),
         "candidates.csv": candidates_csv(results),
+        "search.json": json.dumps(run_folder.finite(as_json(results)), indent=2, allow_nan=False) + "\n",
     }
-    for name, text in texts.items():
-        write_bytes(folder / name, text.encode())
-    run_folder.write_json(folder / "search.json", run_folder.finite(as_json(results)))
-    figure.save(folder)
-    return StudyFiles(tables, {figure.name: figure}, [*texts, "search.json", *figure.names], on_page=False)
+    figures = {figure.name: figure}
+    return StudyFiles(tables, figures, write_files(folder, texts, figures), on_page=False)
 
 
 def as_json(results: SearchResults) -> dict[str, Any]:
