@@ -48,10 +48,9 @@ def check_collation(evidence: RunEvidence) -> Check:
         if any(evidence.resolved.nodes[name].role not in _KNOWN_ROLES for name in chain):
             excepted["after a user-defined node"] += len(evidence.sent.get(key, ()))
             continue
-        n_in_frame = Counter(
-            frame for frame, _ in {(message.frame, message.seq) for message in evidence.sent.get(key, ())}
-        )
-        for message in evidence.sent.get(key, ()):
+        sent = evidence.sent.get(key, ())
+        n_in_frame = Counter(frame for frame, _ in {(message.frame, message.seq) for message in sent})
+        for message in sent:
             reason = _exemption(message, input_.subject, broker, bool(chain), batches, evidence)
             if n_in_frame[message.frame] > 1:
                 reason = "in addition to another message of its frame"
@@ -61,13 +60,8 @@ def check_collation(evidence: RunEvidence) -> Check:
             n_checked += 1
             n_found, n_sent = batches.get(message.frame, {}).get(input_.subject), message.content.rows
             if n_found != n_sent:
-                problem = (
-                    "no batch"
-                    if message.frame not in batches
-                    else "not in it"
-                    if n_found is None
-                    else f"{n_found} rows"
-                )
+                problem = "not in it" if n_found is None else f"{n_found} rows"
+                problem = problem if message.frame in batches else "no batch"
                 missing.append(f"frame {message.frame}: {input_.subject} delivered {n_sent} rows, {problem}")
                 missing_of[input_.subject] += 1
     late = _late(evidence, broker)
@@ -78,21 +72,17 @@ def check_collation(evidence: RunEvidence) -> Check:
         "late": late,
         "excepted": dict(sorted(excepted.items())),
     }
-    if not evidence.lockstep and missing:
-        if late is None:
-            return Check.skipped("collation", "the broker, which counts late messages in real time, returned no count")
-        if all(count <= late.get(agent, 0) for agent, count in missing_of.items()):
-            return Check(
-                "collation",
-                True,
-                f"{n_checked} messages delivered; late, by the broker's count: {len(missing)}",
-                values,
-            )
-    if missing:
+    if not missing:
+        detail = f"all {n_checked} messages that were delivered in time are in the collation"
+    elif evidence.lockstep:
         return Check("collation", False, _first(missing), values)
-    return Check(
-        "collation", True, f"all {n_checked} messages that were delivered in time are in the collation", values
-    )
+    elif late is None:
+        return Check.skipped("collation", "the broker, which counts late messages in real time, returned no count")
+    elif any(count > late.get(agent, 0) for agent, count in missing_of.items()):
+        return Check("collation", False, _first(missing), values)
+    else:
+        detail = f"{n_checked} messages delivered; late, by the broker's count: {len(missing)}"
+    return Check("collation", True, detail, values)
 
 
 def _chain(evidence: RunEvidence, key: str) -> list[str]:

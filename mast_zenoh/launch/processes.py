@@ -227,13 +227,6 @@ class Processes(Supervisor[Process]):
         for child in children:
             child.process.send_signal(signal.SIGCONT)
 
-    def wait(self, child: Process, seconds: float) -> bool:
-        try:
-            child.process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            return False
-        return True
-
     def dispose(self, child: Process) -> None:
         _close(child.process)
         child.log.close()
@@ -250,7 +243,8 @@ class Processes(Supervisor[Process]):
                     getattr(child.process, action)()
             deadline = time.monotonic() + grace_s
             for child in self.running():
-                self.wait(child, max(0.0, deadline - time.monotonic()))
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    child.process.wait(max(0.0, deadline - time.monotonic()))
         for child in self.children.values():
             self.dispose(child)
         if self._server is not None:
