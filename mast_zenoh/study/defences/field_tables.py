@@ -13,7 +13,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+import msgspec
 
 from mast_zenoh.metrics.significance import holm
 from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, Row, Statistic
@@ -84,29 +86,23 @@ class PublishedNumber:
 BY_SUSPENSION = frozenset({"PosePert"})
 
 
-def _published(**content: Any) -> Published:
-    values: Any = {name: tuple(each) if isinstance(each, list) else each for name, each in content.items()}
-    return Published(**values)
-
-
 #: Stages, then attacks.
-PUBLISHED = tuple(
-    _published(**each)
-    for each in tomllib.loads(Path(__file__).with_name("published.toml").read_text("utf-8"))["method"]
+PUBLISHED = msgspec.convert(
+    tomllib.loads(Path(__file__).with_name("published.toml").read_text("utf-8"))["method"], tuple[Published, ...]
 )
 
 
 # -- the scoreboard: each defence with the case that is worst for it, best first ---------------------------------------
 
-TITLE = "Scoreboard"
-_HEADINGS = (
+SCOREBOARD = "Scoreboard"
+_SCOREBOARD_HEADINGS = (
     *("defence", "beaten most by", "errors added", "by the attack", "minus undefended"),
     *("without an attack", "seeds"),
 )
-_NAMES = ("defence", "attack", "n_adversaries", "placement", "scene")
-_CSV = (*_NAMES, "measure", *BOUNDS, "p_holm", "worst")
+_OF_SCORE = ("defence", "attack", "n_adversaries", "placement", "scene")
+_SCOREBOARD_CSV = (*_OF_SCORE, "measure", *BOUNDS, "p_holm", "worst")
 #: What is read together of every cell.
-_READ = ("damage", "by_attack", "harm")
+_READ_TOGETHER = ("damage", "by_attack", "harm")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -157,7 +153,7 @@ class Scoreboard:
         shown = [row for row in table.rows if defences and row.of["scene"] and row["damage"].known]
         played = [row for row in shown if row["attacked"].known or not row.of["attack"]]
         self.rows = [row for row in played if not row.idle]
-        values = {(name, row): row[name].p for row in self.rows for name in _READ}
+        values = {(name, row): row[name].p for row in self.rows for name in _READ_TOGETHER}
         tested = {key: p for key, p in values.items() if not math.isnan(p)}
         self.adjusted = dict(zip(tested, holm(list(tested.values())), strict=True))
         scores = []
@@ -200,7 +196,11 @@ class Scoreboard:
         """The scores as text."""
         lines = [
             [
-                *(score.worst.of["defence"], _case(score.worst), *(self.text(name, score.worst) for name in _READ)),
+                *(
+                    score.worst.of["defence"],
+                    _case(score.worst),
+                    *(self.text(name, score.worst) for name in _READ_TOGETHER),
+                ),
                 *(self.text("damage", score.quiet), str(score.worst["damage"].trials)),
             ]
             for score in self.scores
@@ -208,7 +208,7 @@ class Scoreboard:
         about = paragraph(
             "scoreboard_about", tests=paragraph("scoreboard_tests", adjusted=self.adjusted, least=MIN_SEEDS)
         )
-        return TextTable(TITLE, about, _HEADINGS, lines, 2)
+        return TextTable(SCOREBOARD, about, _SCOREBOARD_HEADINGS, lines, 2)
 
 
 def _damage(row: Row) -> float:
@@ -226,18 +226,20 @@ def scoreboard_tables(table: FieldTable) -> ResultTables:
     worst = [score.worst for score in board.scores]
     numbers = [
         [
-            *(*(row.of[each] for each in _NAMES), name, *bounds(row[name])),
+            *(*(row.of[each] for each in _OF_SCORE), name, *bounds(row[name])),
             *(*digits(board.adjusted.get((name, row), math.nan)), int(row in worst)),
         ]
         for row in board.rows
-        for name in _READ
+        for name in _READ_TOGETHER
     ]
     sentences = board.conclusions()
     numbered = [f"{at}. {text}" for at, text in enumerate(sentences, 1)]
     about = "\n".join([f"{table.matrix.size}.", *([""] if numbered else []), *numbered])
     tables = [board.table()] if board.scores else []
     brief = [each._replace(about=" ".join([each.about, *sentences])) for each in tables]
-    return ResultTables(TITLE, about, table.matrix.size, tables, (_CSV, numbers), brief, reading=sentences)
+    return ResultTables(
+        SCOREBOARD, about, table.matrix.size, tables, (_SCOREBOARD_CSV, numbers), brief, reading=sentences
+    )
 
 
 # -- tables ------------------------------------------------------------------------------------------------------------

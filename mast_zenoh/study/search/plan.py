@@ -23,7 +23,7 @@ from mast_zenoh.study.numbers import ACHIEVED, DEFENCE, DRIVEN, NAN, Number
 # -- parameters: Optuna's distributions --------------------------------------------------------------------------------
 
 #: How a range is written.
-EXPECTED = "expected 'LOW..HIGH', 'LOW..HIGH log', or a list of at least two choices"
+EXPECTED_RANGE = "expected 'LOW..HIGH', 'LOW..HIGH log', or a list of at least two choices"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _RANGE = re.compile(rf"\s*({_NUMBER})\s*\.\.\s*({_NUMBER})\s*(log)?\s*")
 _WHOLE = re.compile(r"[+-]?\d+")
@@ -51,13 +51,15 @@ def parse_space(content: Any, place: str) -> dict[str, Values]:
     place: its key, for errors. Raises ConfigurationError.
     """
     if isinstance(content, str):
-        content = _entries(content, place)
+        content = _space_entries(content, place)
     if not isinstance(content, Mapping) or not content:
         raise ConfigurationError(f"{place}: found {content!r}, expected a dict: name of a parameter to its range")
-    return {_name(name, place): _values(values, f"{place}.{name}") for name, values in content.items()}
+    return {
+        _parameter_name(name, place): _range_or_choices(values, f"{place}.{name}") for name, values in content.items()
+    }
 
 
-def _entries(text: str, place: str) -> dict[str, Any]:
+def _space_entries(text: str, place: str) -> dict[str, Any]:
     """The ranges by name; choices are separated by bars."""
     result: dict[str, Any] = {}
     for entry in filter(None, map(str.strip, text.split(";"))):
@@ -66,24 +68,24 @@ def _entries(text: str, place: str) -> dict[str, Any]:
             raise ConfigurationError(f"{place}: found {entry!r}, expected NAME=LOW..HIGH or NAME=A|B, separated by ';'")
         if name in result:
             raise ConfigurationError(f"{place}.{name}: found twice, expected each parameter once")
-        result[name] = [_literal(part.strip()) for part in values.split("|")] if "|" in values else values
+        result[name] = [_choice(part.strip()) for part in values.split("|")] if "|" in values else values
     return result
 
 
-def _literal(text: str) -> Any:
+def _choice(text: str) -> Any:
     """A choice: a number if it is written as one."""
     if _WHOLE.fullmatch(text):
         return int(text)
     return float(text) if re.fullmatch(_NUMBER, text) else text
 
 
-def _name(name: Any, place: str) -> str:
+def _parameter_name(name: Any, place: str) -> str:
     if not isinstance(name, str) or not all(name.split(".")) or "=" in name:
         raise ConfigurationError(f"{place}: found the name {name!r}, expected that of a parameter, or a dotted path")
     return name
 
 
-def _values(content: Any, place: str) -> Values:
+def _range_or_choices(content: Any, place: str) -> Values:
     if isinstance(content, Sequence) and not isinstance(content, str):
         repeated = any(one == other or str(one) == str(other) for one, other in combinations(content, 2))
         if len(content) < 2 or repeated:
@@ -93,7 +95,7 @@ def _values(content: Any, place: str) -> Values:
             return CategoricalDistribution(content)
     match = _RANGE.fullmatch(content) if isinstance(content, str) else None
     if match is None:
-        raise ConfigurationError(f"{place}: found {content!r}, {EXPECTED}")
+        raise ConfigurationError(f"{place}: found {content!r}, {EXPECTED_RANGE}")
     ends, log = match.groups()[:2], match[3] is not None
     whole = all(_WHOLE.fullmatch(end) for end in ends)
     low, high = map(float, ends)
@@ -188,7 +190,7 @@ class Objective:
         """Raise ConfigurationError for a number that a trial under attack does not have."""
         known = {StudySeries(*each[:3]) for each in trial_numbers}
         if unknown := [each for each in self.series(ego) if each not in known]:
-            raise ConfigurationError(f"{place}: {_unknown(unknown[0], known)}")
+            raise ConfigurationError(f"{place}: {_unknown_number(unknown[0], known)}")
 
     def bounds(self, ego: str) -> tuple[float, float]:
         """The smallest and the largest possible value."""
@@ -204,7 +206,7 @@ class Objective:
     def label(self) -> str:
         """In words, with the unit, for tables and figures: `missed objects + false objects per frame, picture`."""
         names, units = map(list, zip(*(_name_and_unit(term.metric) for term in self.terms), strict=True))
-        places = [_place(term) for term in self.terms]
+        places = [_place_of(term) for term in self.terms]
         unit = f" {units[0]}" if units[0] and len({*units}) == 1 else ""
         if len({*places}) == 1:
             return f"{' + '.join(names)}{unit}{f', {places[0]}' if places[0] else ''}"
@@ -237,7 +239,7 @@ def _term(text: str, place: str) -> StudySeries:
     return StudySeries(owner, estimator, metric)
 
 
-def _unknown(series: StudySeries, known: Iterable[StudySeries]) -> str:
+def _unknown_number(series: StudySeries, known: Iterable[StudySeries]) -> str:
     """What is unknown about a series, with the nearest that is known."""
     place = [(each.estimator, each.metric) for each in known if each.owner == series.owner]
     metrics = [metric for estimator, metric in place if estimator == series.estimator]
@@ -261,7 +263,7 @@ def _name_and_unit(metric: str) -> tuple[str, str]:
     return f"{name}{added}", "per run" if base in _PER_RUN else per_frame.strip()
 
 
-def _place(term: StudySeries) -> str:
+def _place_of(term: StudySeries) -> str:
     """Whose number it is, in words."""
     estimator = ESTIMATES[term.estimator].column if term.estimator in ESTIMATES else term.estimator
     return estimator if term.owner in ("", "all") else f"{term.owner}: {estimator}"
