@@ -32,7 +32,6 @@ from mast_zenoh.report.findings.words import defence_line, said, text
 from mast_zenoh.report.narrative import study as narrative
 from mast_zenoh.report.run_figure import FigureContext
 from mast_zenoh.report.tables import of_run as tables_of_run
-from mast_zenoh.report.tables.pictures import picture_table
 from mast_zenoh.report.tables.scores import Cell, ScoreTable, Value, number, score_table, signed
 from mast_zenoh.report.tables.study import difference_title, sections, side_by_side
 from mast_zenoh.report.tables.text_table import TextTable
@@ -245,7 +244,6 @@ def write_study_report(
             {label: run.files.summary for label, run in folders.items()},
             next((run.ego for run in folders.values() if run.ego), "ego"),
         ),
-        "nees_title": tables_of_run.NEES_TITLE,
         "car": car,
         "pages": pages,
     }
@@ -319,7 +317,7 @@ def _write_run(
         **(_score_rows(scores) if run.files.summary else {"rows": []}),
         "messages": tables_of_run.message_table(run),
         "confidence": tables_of_run.confidence_tables(run),
-        "pictures": picture_table(run),
+        "pictures": tables_of_run.picture_table(run),
         "of_pictures": text(run, of_pictures(run)),
         "interposers": interposers(run),
         "suspensions": tables_of_run.suspension_table(run),
@@ -427,7 +425,6 @@ def write_trials_page(
     """
     rows, facts = narrative.titled(rows, facts)
     comparisons = narrative.compare(rows, facts.baseline)
-    own_tables = [(each.title, each.about, each.on_page()) for each in tables]
     parts = sections(rows, facts.baseline, comparisons)
     errors = narrative.result(rows, facts, comparisons)
     # Errors of single kinds may be unclear where the study's own measure is clear.
@@ -447,7 +444,7 @@ def write_trials_page(
         "figures": figures,
         "added": [each for each in parts if each.title.startswith(title)],
         "added_title": f"{title}: errors of estimates" if own_reading else title,
-        "own_tables": own_tables,
+        "own_tables": tables,
         "comparisons": narrative.comparisons_made(comparisons),
         "scores": scores if scores.lines else None,
         "others": [each for each in parts if not each.title.startswith((title, "Scores"))],

@@ -58,7 +58,7 @@ def test_duplicate_beyond_the_gate_is_false_and_not_in_the_rmse(attacked: Run, e
 
 def test_table_has_a_row_per_adversary_and_one_for_all(attacked: Run, run_of: RunOf) -> None:
     attacked.files.summary["achieved"] = {"adversary_1": ACHIEVED, "adversary_2": ACHIEVED, "all": ACHIEVED}
-    rows = [line.cells for line in achieved_table(attacked).lines]
+    rows = achieved_table(attacked).lines
     assert [row[0] for row in rows] == ["adversary_1", "adversary_2", "all together"]
     inserted, hidden, moved = ("4", "100% / 50%", f"9.2 / {DASH}"), ("0", f"{DASH} / {DASH}"), ("2", "0.50 / 0.25")
     assert rows[0][1:] == (*inserted, *hidden, *moved, f"0.2 / {DASH}", "3 / 0")
@@ -185,7 +185,7 @@ def test_unreachable_estimates_show_dashes(attacked: Run) -> None:
         picture["interposers"].append(name)
         picture["legs"][0]["to"] = [name if node == "ego" else node for node in picture["legs"][0]["to"]]
         picture["legs"].append(leg)
-        both = [line.cells for line in achieved_table(Run.of(attacked.files)).lines]
+        both = achieved_table(Run.of(attacked.files)).lines
         assert both[-1][2] == (f"{DASH} / 50%" if name == "adversary_2" else "100% / 50%")
     assert (both[0][2], both[0][7], both[0][9]) == (f"{DASH} / 50%", f"{DASH} / 0.25", f"{DASH} / 0")
 
@@ -259,13 +259,13 @@ DRIVES = {
 def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: Run, run_of: RunOf) -> None:
     assert driving_table(attacked).lines == []
     attacked.files.summary["driving"] = {"ego": DRIVES}
-    truth, mission = (line.cells for line in driving_table(attacked).lines)
+    truth, mission = driving_table(attacked).lines
     assert truth == ("truth", "2.00", DASH, DASH, DASH, "never", "0.0%", DASH, DASH)
     corridor = "2.50", "0.50", "0.00", DASH, "0.4"
     assert mission == ("ego with picture", *corridor, "25.0%", "25.0% (12.5% by attack)", "0.0%")
     overlapping = {"driving": {"ego": {"mission": DRIVES["mission"] | {"overlapping_objects": 0.75}}}}
     run = run_of("uncoordinated", metrics=overlapping)
-    assert driving_table(run).lines[0].cells[4] == "0.75"
+    assert driving_table(run).lines[0][4] == "0.75"
 
 
 def test_driving_is_compared_with_another_run(run_of: RunOf, attacked: Run) -> None:
@@ -274,7 +274,7 @@ def test_driving_is_compared_with_another_run(run_of: RunOf, attacked: Run) -> N
     assert len(driving_table(attacked, reference, "unattacked").lines) == 2, "the other run's value is unknown"
     mission = DRIVES["mission"] | {"needless_brake_share": 0.125, "brake_share": 0.3, "min_ttc_s": None}
     reference.files.summary["driving"] = {"ego": {"truth": DRIVES["truth"], "mission": mission}}
-    rows = [line.cells for line in driving_table(attacked, reference, "unattacked").lines]
+    rows = driving_table(attacked, reference, "unattacked").lines
     assert [row[:2] for row in rows] == [
         (estimate, run) for estimate in ("truth", "ego with picture") for run in ("unattacked", attacked.name)
     ]
@@ -297,7 +297,7 @@ def test_unattributed_increase_of_needless_braking_is_reported(run_of: RunOf, at
     ):
         attacked.files.summary["driving"] = {"ego": {"mission": {share: after, f"{share}_attack": attack}}}
         reference.files.summary["driving"] = {"ego": {"mission": {share: before, f"{share}_attack": 0.0}}}
-        needless = driving_table(attacked, reference, "unattacked").lines[-1].cells[8]
+        needless = driving_table(attacked, reference, "unattacked").lines[-1][8]
         assert (f"{more} more than unattacked, not attributed" in needless) == bool(more)
         told = [each.value for each in details(attacked, Reference(reference, "unattacked")) if each.kind == "braking"]
         assert told == [attack] * bool(attack)

@@ -10,7 +10,7 @@ import pytest
 from mast_zenoh.metrics import Consistency
 from mast_zenoh.report.html import write_report
 from mast_zenoh.report.tables.of_run import confidence_tables, nees_table
-from mast_zenoh.report.tables.text_table import DASH, Line
+from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.runs.run import Run
 from mast_zenoh.tracking import Innovations
 
@@ -39,9 +39,9 @@ def folder(run_folder: Callable[..., Path]) -> Path:
 
 
 def test_each_estimate_has_a_row_with_its_verdict(folder: Path) -> None:
-    lines = confidence_tables(Run(folder))[0].lines
-    assert [line.style for line in lines] == ["", "bad", ""]
-    picture, received, unknown = (line.cells for line in lines)
+    table = confidence_tables(Run(folder))[0]
+    assert table.bad == [False, True, False]
+    picture, received, unknown = table.lines
     assert [cells[0] for cells in (picture, received, unknown)] == ["the picture", "infra_1 as received", "infra_2"]
     assert picture[-1] == "velocity: overcautious"
     assert received[-1] == "position: overconfident; velocity: overconfident"
@@ -51,7 +51,7 @@ def test_each_estimate_has_a_row_with_its_verdict(folder: Path) -> None:
 
 
 def test_each_tracker_has_a_row(folder: Path) -> None:
-    ego, silent = (line.cells for line in confidence_tables(Run(folder))[1].lines)
+    ego, silent = confidence_tables(Run(folder))[1].lines
     assert ego[1].startswith("1.90 (")
     assert ego[3:] == ("100", "1", "")
     assert silent[1:4:2] == (DASH, "0")
@@ -68,7 +68,7 @@ def test_a_mean_above_its_bounds_is_named_though_the_median_is_as_expected(run_f
     assert picture["picture"]["position"]["verdict"] is None
     folder = run_folder(metrics={"consistency": {"ego": picture}})
     (line,) = confidence_tables(Run(folder))[0].lines
-    assert line.cells[-1] == "position: NEES above its bounds"
+    assert line[-1] == "position: NEES above its bounds"
 
 
 def test_of_many_estimates_those_of_other_agents_are_folded(run_folder: Callable[..., Path]) -> None:
@@ -76,7 +76,7 @@ def test_of_many_estimates_those_of_other_agents_are_folded(run_folder: Callable
     consistency = {"ego": good, "infra_1": bad} | {f"mobile_{i}": good for i in range(12)}
     folder = run_folder(metrics={"consistency": consistency, "pictures": {}})
     shown, _, folded = confidence_tables(Run(folder))
-    assert [line.cells[0] for line in shown.lines] == ["the picture of ego", "the picture of infra_1"]
+    assert [line[0] for line in shown.lines] == ["the picture of ego", "the picture of infra_1"]
     assert len(folded.lines) == 12
     page = write_report(folder).read_text()
     assert "<details><summary>12 estimates of the other agents</summary>" in page
@@ -85,6 +85,7 @@ def test_of_many_estimates_those_of_other_agents_are_folded(run_folder: Callable
 def test_compared_runs_have_the_nees_of_the_picture_beside_each_other() -> None:
     picture = {"picture": {"position": heavy_tailed(), "velocity": summary(0.9)}}
     metrics = {"naive": {"consistency": {"ego": picture}}, "none": {}}
-    (line,) = nees_table(metrics, "ego").lines
+    table = nees_table(metrics, "ego")
     position, velocity = (picture["picture"][name]["nees"] for name in ("position", "velocity"))
-    assert line == Line(("naive", f"{position:.2f}*", f"{velocity:.2f}", DASH, DASH), "bad")
+    assert table.lines == [["naive", f"{position:.2f}*", f"{velocity:.2f}", DASH, DASH]]
+    assert table.bad == [True]

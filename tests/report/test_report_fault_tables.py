@@ -182,7 +182,7 @@ def test_missing_metrics_have_no_row() -> None:
     assert cause_table({"run": {"agents": {"ego": {"picture": {"fn": {"mean": 1.0}}, "local": {}}}}}).lines == []
     nothing = dict.fromkeys(("fault", "attack", "natural"))
     (line,) = cause_table({"run": {"agents": {"ego": {"picture": {"fn_split": nothing, "fp_split": nothing}}}}}).lines
-    assert line.cells == ("ego", *[DASH] * 6)
+    assert line == ("ego", *[DASH] * 6)
     assert [table.lines for table in latency_tables({"latency_ms": {"sim_to_picture": {"p50": 1.0}}})] == [[], [], []]
 
 

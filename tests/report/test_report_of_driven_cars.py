@@ -160,11 +160,11 @@ def test_what_happened_to_cars_is_told_collisions_first(both: tuple[Run, Referen
 
 def test_the_table_has_a_line_for_the_run_and_one_for_its_twin(both: tuple[Run, Reference]) -> None:
     run, twin = both
-    rows = [line.cells for line in driven_table(run, twin.run, twin.name).lines]
+    rows = driven_table(run, twin.run, twin.name).lines
     assert [row[:2] for row in rows] == [("ego", "unattacked"), ("ego", run.name)]
     assert [row[4:8] for row in rows] == [("0", "0", "0", "0.0"), ("1", "1", "0", "9.0")]
     assert [row[10:12] for row in rows] == [("93.0", "0.0"), ("29.0", "1.1")]
-    assert driven_table(twin.run).lines[0].cells[0] == "ego"
+    assert driven_table(twin.run).lines[0][0] == "ego"
 
 
 def test_the_figure_shows_the_speeds_of_both_and_the_needless_brake_as_a_band(

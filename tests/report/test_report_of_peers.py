@@ -15,7 +15,7 @@ from mast_zenoh.report.findings import outcome
 from mast_zenoh.report.findings.adversaries import attacks, limits, positions
 from mast_zenoh.report.findings.defence import of_defence, of_pictures
 from mast_zenoh.report.findings.words import defence_line, said
-from mast_zenoh.report.tables.pictures import picture_table
+from mast_zenoh.report.tables.of_run import picture_table
 from mast_zenoh.report.terminal import show_run
 from mast_zenoh.runs.events import spans
 from mast_zenoh.runs.files import RunFiles
@@ -124,7 +124,7 @@ def test_pages_films_and_the_terminal_speak_of_the_ego_and_its_peer(judged: mast
 
 def test_each_agent_has_a_line_with_the_scores_of_its_own_picture(radio: mast.Run) -> None:
     record = Run(radio.path)
-    lines = {line.cells[0]: line.cells for line in picture_table(record).lines}
+    lines = {line[0]: line for line in picture_table(record).lines}
     assert set(lines) == {"ego", "mobile_1", "infra_1", "infra_2"}
     missed = radio.summary["agents"]["infra_2"]["picture"]["fn"]["mean"]
     assert lines["infra_2"][1] == f"{missed:.2f}"

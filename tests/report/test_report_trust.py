@@ -183,11 +183,13 @@ def test_the_chart_has_a_row_for_each_agent_with_its_suspensions_and_faults(fold
 
 
 def test_every_suspension_has_a_row_with_its_reason(folder: Path) -> None:
-    assert suspension_table(Run(folder)).lines == [
-        (("infra_2", "1.0", "1.2", "honest", "\u2013", REASON), "bad"),
-        (("infra_1", "2.0", "3.0", "lying", "0.5", REASON), ""),
-        (("infra_1", "3.5", "end", "lying", "\u2013", REASON), ""),
+    table = suspension_table(Run(folder))
+    assert table.lines == [
+        ("infra_2", "1.0", "1.2", "honest", "\u2013", REASON),
+        ("infra_1", "2.0", "3.0", "lying", "0.5", REASON),
+        ("infra_1", "3.5", "end", "lying", "\u2013", REASON),
     ]
+    assert table.bad == [True, False, False]
 
 
 def test_an_agent_whose_suspension_flickers_has_one_line(folder: Path) -> None:
@@ -230,9 +232,8 @@ def test_the_last_line_says_which_agents_the_defence_suspended_when_and_what_it_
 
 def test_seconds_of_conduct_without_any_are_left_out(folder: Path) -> None:
     table = conduct_table(Run(folder))
-    assert [head.text for head in table.heads[1:]] == ["unknown", "trusted", "faulty", "suspended"]
-    cells = [line.cells for line in table.lines]
-    assert cells == [("honest", "0.0", "14.0", "0.0", "0.2"), ("lying", "0.0", "3.4", "0.0", "1.4")]
+    assert [*table.headings[1:]] == ["unknown", "trusted", "faulty", "suspended"]
+    assert table.lines == [("honest", "0.0", "14.0", "0.0", "0.2"), ("lying", "0.0", "3.4", "0.0", "1.4")]
 
 
 #: As long as the names of possible liars make it.
@@ -279,7 +280,7 @@ def test_the_chart_shows_when_an_agent_was_undecided(undecided: Path) -> None:
 
 def test_every_undecided_period_has_a_row_and_a_line_with_its_whole_reason(undecided: Path) -> None:
     run = Run(undecided)
-    assert [line.cells for line in undecided_table(run).lines] == [
+    assert undecided_table(run).lines == [
         ("infra_2", "1.0", "end", "honest", OPEN),
         ("infra_3", "1.0", "2.0", "honest, lies from 1.5 s on", OPEN),
     ]
@@ -287,7 +288,7 @@ def test_every_undecided_period_has_a_row_and_a_line_with_its_whole_reason(undec
     assert found == [(("infra_2",), (1.0, 4.0), ("honest", OPEN)), (("infra_3",), (1.0, 2.0), ("honest", OPEN))]
     agents = run.files.summary["integrity"]["agents"]
     agents["infra_3"]["undecided"] = [suspension(2.5, None, "honest") | {"reason": OPEN}]
-    assert undecided_table(run).lines[-1].cells[3] == "honest, lied before"
+    assert undecided_table(run).lines[-1][3] == "honest, lied before"
 
 
 def test_the_events_of_a_run_say_who_the_possible_liars_are(undecided: Path) -> None:

@@ -313,7 +313,7 @@ def test_estimates_and_metrics_of_ones_own_are_in_the_tables_with_their_units() 
     run = played("offers.py")
     described = {"per": "message", "heading": "", "unit": "EUR", "digits": 2, "whole": False, "range": [0.0, None]}
     assert run.summary["own_metrics"] == {"price": described}
-    lines = [line.cells for line in message_table(Run(run.path)).lines]
+    lines = message_table(Run(run.path)).lines
     assert lines == [
         ("shop/north/offer", "price (EUR)", "10.00", "0.00"),
         ("shop/south/offer", "price (EUR)", DASH, DASH),

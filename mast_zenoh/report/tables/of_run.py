@@ -12,9 +12,9 @@ from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE, TRU
 from mast_zenoh.metrics.measures import metric_named
 from mast_zenoh.report.findings.causes import reaches
 from mast_zenoh.report.findings.finding import Finding
-from mast_zenoh.report.tables.pictures import exceeds
-from mast_zenoh.report.tables.scores import Value, number
-from mast_zenoh.report.tables.text_table import DASH, Head, Line, PageTable, TextTable
+from mast_zenoh.report.tables.scores import Value
+from mast_zenoh.report.tables.scores import number as score_text
+from mast_zenoh.report.tables.text_table import DASH, TextTable, number, whole_percent
 from mast_zenoh.runs.events import doubts, suspensions
 from mast_zenoh.runs.interposers import hostile
 from mast_zenoh.runs.run import Run
@@ -22,15 +22,13 @@ from mast_zenoh.tracking.base import OVERCONFIDENT
 
 ALL = "all"
 _ACHIEVED = (
-    Head("adversary", kind="text"),
-    *(Head("number", "inserted objects"), Head("accepted", "inserted objects"), Head("for (s)", "inserted objects")),
-    *(Head("number", "hidden objects"), Head("missed", "hidden objects")),
-    *(Head("number", "moved objects"), Head("off by (m)", "moved objects")),
-    *(Head("first\nsuccess (s)"), Head("identity\nswitches")),
+    *("adversary", "number", "accepted", "for (s)", "number", "missed", "number", "off by (m)"),
+    *("first\nsuccess (s)", "identity\nswitches"),
 )
+_ACHIEVED_GROUPS = ("", *("inserted objects",) * 3, *("hidden objects",) * 2, *("moved objects",) * 2, "", "")
 
 
-def achieved_table(run: Run, limits: Sequence[Finding] = ()) -> PageTable:
+def achieved_table(run: Run, limits: Sequence[Finding] = ()) -> TextTable:
     """A line per interposer other than links, and a total if there are several; no lines if nothing was measured.
 
     limits: reasons for limited effects, of interposers that have a line even if nothing was measured
@@ -43,10 +41,11 @@ def achieved_table(run: Run, limits: Sequence[Finding] = ()) -> PageTable:
     lines = [_achieved(name, achieved.get(name, {}), in_picture=name in centre) for name in names]
     if len(lines) > 1 and ALL in achieved:
         lines.append(_achieved("all together", achieved[ALL], in_picture=bool(centre)))
-    return PageTable(_ACHIEVED, [] if all(line.cells[1] == DASH for line in lines) else lines)
+    lines = [] if all(line[1] == DASH for line in lines) else lines
+    return TextTable("", "", _ACHIEVED, lines, groups=_ACHIEVED_GROUPS)
 
 
-def _achieved(name: str, each: Mapping[str, Any], *, in_picture: bool) -> Line:
+def _achieved(name: str, each: Mapping[str, Any], *, in_picture: bool) -> tuple[str, ...]:
     """in_picture: whether it can affect the command centre's picture."""
 
     def number(key: str) -> str:
@@ -59,18 +58,13 @@ def _achieved(name: str, each: Mapping[str, Any], *, in_picture: bool) -> Line:
     inserted = number("inserted"), both("inserted_share", "{:.0%}"), both("inserted_s", "{:.1f}")
     hidden = number("hidden"), both("hidden_share", "{:.0%}")
     moved = number("moved"), both("moved_error_m", "{:.2f}")
-    return Line((name, *inserted, *hidden, *moved, both("first_success_s", "{:.1f}"), both("id_switches", "{}")))
+    return name, *inserted, *hidden, *moved, both("first_success_s", "{:.1f}"), both("id_switches", "{}")
 
 
-_MESSAGES = (
-    Head("wire", kind="text"),
-    Head("metric", kind="text"),
-    *(Head("mean"), Head("standard\ndeviation")),
-)
 MESSAGES_TITLE = "Your metrics of messages"
 
 
-def message_table(run: Run) -> PageTable:
+def message_table(run: Run) -> TextTable:
     """A line per wire and metric of a user's of its messages; no lines without such metrics."""
     described = run.files.summary.get("own_metrics", {})
     lines = []
@@ -78,112 +72,116 @@ def message_table(run: Run) -> PageTable:
         for name, value in metrics.items():
             metric, shown = metric_named(name, described), Value.of(value)
             deviation = DASH if shown.std is None else f"{shown.std:.{metric.digits}f}"
-            lines.append(Line((wire, metric.heading, number(shown, metric), deviation)))
-    return PageTable(_MESSAGES, lines)
+            lines.append((wire, metric.heading, score_text(shown, metric), deviation))
+    return TextTable(MESSAGES_TITLE, "", ("wire", "metric", "mean", "standard\ndeviation"), lines, 2)
 
 
 def own_messages(run: Run) -> TextTable:
     """The same for the terminal, without the wires of agents but the ego."""
-    source, others = message_table(run), {*run.agents} - {run.ego}
-    lines = [line.cells for line in source.lines if others.isdisjoint(line.cells[0].split("/"))]
-    left_out = f"; {len(source.lines) - len(lines)} of other agents are in the report"
-    title = MESSAGES_TITLE + left_out * (len(lines) < len(source.lines))
-    return TextTable(title, "", [head.text for head in _MESSAGES], lines, 2)
+    table, others = message_table(run), {*run.agents} - {run.ego}
+    lines = [line for line in table.lines if others.isdisjoint(line[0].split("/"))]
+    left_out = f"; {len(table.lines) - len(lines)} of other agents are in the report"
+    return table._replace(title=table.title + left_out * (len(lines) < len(table.lines)), lines=lines)
 
 
 _NEES_QUANTITIES = {"position": "positions", "velocity": "velocities"}
 NEES_TITLE = "NEES: errors relative to covariances, 2 expected; * above its 95 % bounds"
 _NEES = ("NEES\n(bounds)", "times more\nconfident", "typically")
-_ESTIMATES = (
-    Head("estimate", kind="text"),
-    *(Head(text, group) for group in ("position", "velocity") for text in _NEES),
-    *(Head("pairs"), Head("verdict", kind="text")),
-)
+_ESTIMATES = ("estimate", *_NEES, *_NEES, "pairs", "verdict")
+_ESTIMATE_GROUPS = ("", *("position",) * 3, *("velocity",) * 3, "", "")
 #: The verdict where the mean of the errors alone, not their median, is beyond what covariances say.
 _ABOVE = "NEES above its bounds"
-_TRACKERS = (
-    Head("tracker of", kind="text"),
-    *(
-        Head("NIS\n(bounds)"),
-        Head("times more\nconfident"),
-        Head("pairs"),
-        Head("sudden"),
-        Head("verdict", kind="text"),
-    ),
-)
-
-
+_TRACKERS = ("tracker of", "NIS\n(bounds)", "times more\nconfident", "pairs", "sudden", "verdict")
+_VERDICT = {"verdict": "text"}
 _NEES_OF = (PICTURE, MISSION)
 
 
-def nees_table(runs: Mapping[str, Mapping[str, Any]], agent: str) -> PageTable:
+def nees_table(runs: Mapping[str, Mapping[str, Any]], agent: str) -> TextTable:
     """The NEES of positions and velocities in an agent's picture and mission estimate, a line per run.
 
     runs: metrics by label; no lines where none has any. Lines with a value above its bounds are bad.
     """
-    heads = [Head(name, ESTIMATES[estimate].column) for estimate in _NEES_OF for name in _NEES_QUANTITIES.values()]
-    lines = []
+    lines, bad = [], []
     for label, metrics in runs.items():
         of_agent = metrics.get("consistency", {}).get(agent, {})
         summaries = [of_agent.get(estimate, {}).get(name, {}) for estimate in _NEES_OF for name in _NEES_QUANTITIES]
         if any(each.get("nees") is not None for each in summaries):
-            cells = [_nees_cell(each) for each in summaries]
-            lines.append(Line((label, *cells), "bad" if any(map(exceeds, summaries)) else ""))
-    return PageTable([Head("run", kind="text"), *heads], lines, dense=False)
+            lines.append([label, *map(_nees_cell, summaries)])
+            bad.append(any(map(_exceeds, summaries)))
+    headings = ["run", *_NEES_QUANTITIES.values(), *_NEES_QUANTITIES.values()]
+    groups = ["", *(ESTIMATES[estimate].column for estimate in _NEES_OF for _ in _NEES_QUANTITIES)]
+    return TextTable(NEES_TITLE, "", headings, lines, groups=groups, bad=bad)
 
 
 def _nees_cell(summary: Mapping[str, Any]) -> str:
     nees = summary.get("nees")
-    return DASH if nees is None else f"{_number(nees)}{'*' * exceeds(summary)}"
+    return DASH if nees is None else f"{_number(nees)}{'*' * _exceeds(summary)}"
 
 
 def nees_as_rich(runs: Mapping[str, Mapping[str, Any]], agent: str) -> Table | None:
     """The same for the terminal; None: not known."""
-    return _as_rich(nees_table(runs, agent), NEES_TITLE)
+    return _as_rich(nees_table(runs, agent))
 
 
 #: More estimates than these are split into those of the ego and the others.
 _MOST_ESTIMATES = 12
 
 
-def confidence_tables(run: Run) -> tuple[PageTable, PageTable, PageTable]:
+def confidence_tables(run: Run) -> tuple[TextTable, TextTable, TextTable]:
     """How confident estimates, and the trackers of nodes, are compared with their accuracy.
 
     The third: estimates besides the ego's that have no notable verdict, if there are many.
     """
-    every: list[Line] = []
-    lines: list[Line] = []
-    others: list[Line] = []
+    lines, trackers, others = [], [], []
     own_pictures = "pictures" in run.files.summary
     for agent, estimates in run.files.summary.get("consistency", {}).items():
         for estimate, summaries in estimates.items():
-            position, velocity = summaries["position"], summaries["velocity"]
-            verdicts = {name: each["verdict"] or _ABOVE * exceeds(each) for name, each in summaries.items()}
+            numbers = [each for name in ("position", "velocity") for each in _numbers(summaries[name])]
+            verdicts = {name: each["verdict"] or _ABOVE * _exceeds(each) for name, each in summaries.items()}
             verdict = "; ".join(f"{name}: {each}" for name, each in verdicts.items() if each)
-            cells = (
-                subject_of(agent, estimate, own_pictures),
-                *_numbers(position),
-                *_numbers(velocity),
-                str(position["pairs"]),
-                verdict,
-            )
-            line = Line(cells, "bad" if OVERCONFIDENT in verdict else "")
-            every.append(line)
-            (lines if agent == run.ego or line.style else others).append(line)
-    trackers = [
-        Line(
-            (
-                *(name, _with_range(each, "nis", "low", "high")),
-                *(_with_range(each, "factor", "factor_low", "factor_high"), str(each["pairs"]), str(each["sudden"])),
-                each["verdict"] or "",
-            ),
-            "bad" if each["verdict"] == OVERCONFIDENT else "",
-        )
-        for name, each in run.files.record.get("innovations", {}).items()
-    ]
-    if len(every) <= _MOST_ESTIMATES:
-        lines, others = every, []
-    return PageTable(_ESTIMATES, lines), PageTable(_TRACKERS, trackers), PageTable(_ESTIMATES, others)
+            pairs = str(summaries["position"]["pairs"])
+            line = (subject_of(agent, estimate, own_pictures), *numbers, pairs, verdict)
+            lines.append(line)
+            others += [line] * (agent != run.ego and OVERCONFIDENT not in verdict)
+    for name, each in run.files.record.get("innovations", {}).items():
+        numbers = [_with_range(each, "nis", "low", "high"), _with_range(each, "factor", "factor_low", "factor_high")]
+        trackers.append((name, *numbers, str(each["pairs"]), str(each["sudden"]), each["verdict"] or ""))
+    others = others if len(lines) > _MOST_ESTIMATES else []
+    return (
+        _of_confidence(_ESTIMATES, [line for line in lines if line not in others], _ESTIMATE_GROUPS),
+        _of_confidence(_TRACKERS, trackers),
+        _of_confidence(_ESTIMATES, others, _ESTIMATE_GROUPS),
+    )
+
+
+def _of_confidence(headings: Sequence[str], lines: Sequence[Sequence[str]], groups: Sequence[str] = ()) -> TextTable:
+    """A table whose last column is a verdict."""
+    bad = [OVERCONFIDENT in line[-1] for line in lines]
+    return TextTable("", "", headings, lines, groups=groups, kinds=_VERDICT, bad=bad)
+
+
+def _exceeds(summary: Mapping[str, Any]) -> bool:
+    """Whether the mean NEES of a summary is above its 95 % bounds, whatever its median is."""
+    return summary.get("nees") is not None and summary.get("high") is not None and summary["nees"] > summary["high"]
+
+
+_PICTURES = (
+    *("agent", "missed", "false", "RMSE (m)", "deceived (% of the frames\nfrom the first lie on)", "NEES of positions"),
+)
+_PICTURE_GROUPS = ("", *("objects per frame",) * 2, "", "", "")
+
+
+def picture_table(run: Run) -> TextTable:
+    """A line for each agent's picture; none where all agents get the same one."""
+    summary, lines, bad = run.files.summary, [], []
+    for agent, share in summary.get("pictures", {}).get("deceived", {}).get("agents", {}).items():
+        scores = summary["agents"][agent][PICTURE]
+        position = summary["consistency"].get(agent, {}).get(PICTURE, {}).get("position", {})
+        cells = [number(each) for each in (scores["fn"]["mean"], scores["fp"]["mean"], scores["rmse_m"])]
+        bad.append(_exceeds(position))
+        nees = number(position.get("nees")) + (f" (bound {number(position['high'])})" if bad[-1] else "")
+        lines.append((agent, *cells, whole_percent(share), nees))
+    return TextTable("", "", _PICTURES, lines, groups=_PICTURE_GROUPS, bad=bad)
 
 
 def _numbers(summary: Mapping[str, Any]) -> tuple[str, str, str]:
@@ -223,7 +221,7 @@ _DRIVING = (
 )
 
 
-def driving_table(run: Run, reference: Run | None = None, name: str = "") -> PageTable:
+def driving_table(run: Run, reference: Run | None = None, name: str = "") -> TextTable:
     """Lines for the truth, the ego alone and the ego with the picture; in parentheses, the change from a reference.
 
     None if the ego is not a vehicle. Wrong braking has the part due to attacks, and the unattributed increase over the
@@ -238,19 +236,19 @@ def driving_table(run: Run, reference: Run | None = None, name: str = "") -> Pag
         if estimate in own:
             labels = (label, run.name) if reference is not None else (label,)
             lines.append(_driving(labels, own[estimate], references.get(estimate, {}), name))
-    heads = [Head("by", kind="text"), *([Head("run", kind="text")] if reference is not None else [])]
-    return PageTable([*heads, *map(Head, _DRIVING)], lines, dense=False)
+    names = ("by",) if reference is None else ("by", "run")
+    return TextTable("", "", names + _DRIVING, lines, len(names))
 
 
 _DRIVEN = (
-    *(Head("colli-\nsions"), Head("near\nmisses")),
-    *(Head("all", "brakes"), Head("needless", "brakes"), Head("missed", "brakes"), Head("hardest\n(m/s²)", "brakes")),
-    *(Head("least time\nto\u00a0collision\u00a0(s)"), Head("below safe\ndistance (s)")),
-    *(Head("way\n(m)"), Head("standing\n(s)"), Head("hard brakes\nbehind")),
+    *("colli-\nsions", "near\nmisses", "all", "needless", "missed", "hardest\n(m/s²)"),
+    *("least time\nto\u00a0collision\u00a0(s)", "below safe\ndistance (s)"),
+    *("way\n(m)", "standing\n(s)", "hard brakes\nbehind"),
 )
+_DRIVEN_GROUPS = ("", "", *("brakes",) * 4, *("",) * 5)
 
 
-def driven_table(run: Run, reference: Run | None = None, name: str = "") -> PageTable:
+def driven_table(run: Run, reference: Run | None = None, name: str = "") -> TextTable:
     """What happened to driven cars: a line per car, and one for the reference, labelled `name`; no lines without."""
     others = reference.files.summary.get("driven", {}) if reference is not None else {}
     lines = []
@@ -258,11 +256,11 @@ def driven_table(run: Run, reference: Run | None = None, name: str = "") -> Page
         if car in others:
             lines.append(_driven((car, name), others[car]))
         lines.append(_driven((car, run.name) if reference is not None else (car,), happened))
-    heads = [Head("car", kind="text"), *([Head("run", kind="text")] if reference is not None else [])]
-    return PageTable([*heads, *_DRIVEN], lines)
+    names = ("car",) if reference is None else ("car", "run")
+    return TextTable("", "", names + _DRIVEN, lines, len(names), groups=("",) * len(names) + _DRIVEN_GROUPS)
 
 
-def _driven(labels: Sequence[str], happened: Mapping[str, Any]) -> Line:
+def _driven(labels: Sequence[str], happened: Mapping[str, Any]) -> tuple[str, ...]:
     ttc = happened["min_ttc_s"]
     far = "never" if ttc is None else f"more than {_LONG_S:.0f}" if ttc > _LONG_S else f"{ttc:.1f}"
     counts = len(happened["collisions"]), happened["near_misses"], len(happened["brakes"])
@@ -271,7 +269,7 @@ def _driven(labels: Sequence[str], happened: Mapping[str, Any]) -> Line:
     unsafe, way, standing = (f"{value:.1f}" for value in measures)
     hardest = f"{happened['hardest_braking_mps2']:.1f}"
     behind = str(happened["behind"]["hard_brakes"])
-    return Line((*labels, *map(str, (*counts, *brakes)), hardest, far, unsafe, way, standing, behind))
+    return *labels, *map(str, (*counts, *brakes)), hardest, far, unsafe, way, standing, behind
 
 
 def _summaries(run: Run | None) -> dict[str, dict[str, Any]]:
@@ -292,7 +290,9 @@ def _unattributed(summary: dict[str, Any], reference_summary: dict[str, Any], ke
     return increase if increase >= _MIN_SHARE else 0.0
 
 
-def _driving(labels: Sequence[str], summary: dict[str, Any], reference_summary: dict[str, Any], reference: str) -> Line:
+def _driving(
+    labels: Sequence[str], summary: dict[str, Any], reference_summary: dict[str, Any], reference: str
+) -> tuple[str, ...]:
     def text(key: str, digits: int, scale: float = 1.0, missing: str = DASH) -> str:
         value, before = summary.get(key), reference_summary.get(key)
         unit = "%" if scale != 1.0 else ""
@@ -314,31 +314,32 @@ def _driving(labels: Sequence[str], summary: dict[str, Any], reference_summary: 
     far = (summary.get("min_ttc_s") or 0.0) > _LONG_S
     ttc = f"more than {_LONG_S:.0f}" if far else text("min_ttc_s", 1, missing="never")
     brake = text("brake_share", 1, 100.0)
-    return Line((*labels, *counts, ttc, brake, share("needless_brake_share"), share("missed_brake_share")))
+    return *labels, *counts, ttc, brake, share("needless_brake_share"), share("missed_brake_share")
 
 
-_SUSPENSIONS = (
-    *(Head("suspended agent", kind="text"), Head("from (s)"), Head("to (s)"), Head("it was", kind="text")),
-    *(Head("after its\nfirst lie (s)"), Head("reason", kind="words")),
-)
+_SUSPENSIONS = ("suspended agent", "from (s)", "to (s)", "it was", "after its\nfirst lie (s)", "reason")
+_DOUBTS = ("undecided agent", "from (s)", "to (s)", "it was", "reason")
+_JUDGED = {"it was": "text", "reason": "words"}
 
 
-def suspension_table(run: Run) -> PageTable:
+def suspension_table(run: Run) -> TextTable:
     """All suspensions, with the reason that the command centre gave for each; false alarms are bad."""
     agents = run.files.summary.get("integrity", {}).get("agents", {})
-    lines, detected = [], set()
+    lines, bad, detected = [], [], set()
     for each in suspensions(run):
         agent = each["agent"]
         delay_s = agents[agent].get("suspended_after_s")
         first = delay_s is not None and agent not in detected and each["from_s"] >= agents[agent]["first_lie_s"]
         detected |= {agent} if first else set()
-        until, after = (
-            "end" if each["until_s"] is None else f"{each['until_s']:.1f}",
-            f"{delay_s:.1f}" if first else DASH,
-        )
-        cells = agent, f"{each['from_s']:.1f}", until, _conduct(run, each), after, each["reason"] or DASH
-        lines.append(Line(cells, "bad" if each["conduct"] == "honest" else ""))
-    return PageTable(_SUSPENSIONS, lines)
+        lines.append((*_period(run, each), f"{delay_s:.1f}" if first else DASH, each["reason"] or DASH))
+        bad.append(each["conduct"] == "honest")
+    return TextTable("", "", _SUSPENSIONS, lines, kinds=_JUDGED, bad=bad)
+
+
+def _period(run: Run, each: Mapping[str, Any]) -> tuple[str, ...]:
+    """An agent, the beginning and end of its suspension or of a doubt, and what it was."""
+    until = "end" if each["until_s"] is None else f"{each['until_s']:.1f}"
+    return each["agent"], f"{each['from_s']:.1f}", until, _conduct(run, each)
 
 
 def _conduct(run: Run, period: Mapping[str, Any]) -> str:
@@ -349,39 +350,22 @@ def _conduct(run: Run, period: Mapping[str, Any]) -> str:
     return f"{period['conduct']}, " + (f"lies from {first_s:.1f} s on" if first_s > period["from_s"] else "lied before")
 
 
-_DOUBTS = (
-    *(Head("undecided agent", kind="text"), Head("from (s)"), Head("to (s)"), Head("it was", kind="text")),
-    Head("reason", kind="words"),
-)
-
-
-def undecided_table(run: Run) -> PageTable:
+def undecided_table(run: Run) -> TextTable:
     """All periods in which the command centre could not decide whether an agent lies, with its reason for each."""
-    lines = [
-        Line(
-            (
-                each["agent"],
-                f"{each['from_s']:.1f}",
-                "end" if each["until_s"] is None else f"{each['until_s']:.1f}",
-                _conduct(run, each),
-                each["reason"] or DASH,
-            )
-        )
-        for each in doubts(run)
-    ]
-    return PageTable(_DOUBTS, lines)
+    lines = [(*_period(run, each), each["reason"] or DASH) for each in doubts(run)]
+    return TextTable("", "", _DOUBTS, lines, kinds=_JUDGED)
 
 
-def conduct_table(run: Run) -> PageTable:
+def conduct_table(run: Run) -> TextTable:
     """The seconds of all agents by conduct and state."""
     seconds = run.files.summary.get("integrity", {}).get("seconds", {})
     states = list(next(iter(seconds.values()), {}))
     lines = [
-        Line((conduct, *(f"{of_state[state]:.1f}" for state in states)))
+        (conduct, *(f"{of_state[state]:.1f}" for state in states))
         for conduct, of_state in seconds.items()
         if any(of_state.values())
     ]
-    return PageTable([Head("seconds of all agents", kind="text"), *map(Head, states)], lines)
+    return TextTable("", "", ("seconds of all agents", *states), lines)
 
 
 #: Groups of causes, as in `fn_split` and `fp_split` of metrics.json.
@@ -406,7 +390,7 @@ def cause_groups(*summaries: Mapping[str, Any]) -> tuple[str, ...]:
     return _WITH_DEFENCE if withheld else CAUSE_GROUPS
 
 
-def cause_table(runs: Mapping[str, Mapping[str, Any]], agent: str | None = None) -> PageTable:
+def cause_table(runs: Mapping[str, Mapping[str, Any]], agent: str | None = None) -> TextTable:
     """Missed and false objects per frame in the picture of each agent by group of causes, of those with known causes.
 
     runs: metrics by label; agent: only of this one, a line per run
@@ -417,10 +401,11 @@ def cause_table(runs: Mapping[str, Mapping[str, Any]], agent: str | None = None)
         for name, estimators in metrics.get("agents", {}).items():
             splits = [estimators.get("picture", {}).get(key) for key, _ in _SPLITS]
             if all(splits) and agent in (None, name):
-                numbers = [_two_decimals(each.get(group)) for each in splits for group in groups]
-                lines.append(Line((label if agent else name, *numbers)))
-    heads = [Head(group, error) for _, error in _SPLITS for group in groups]
-    return PageTable([Head("picture of", kind="text"), *heads], lines, dense=False)
+                numbers = [number(each.get(group)) for each in splits for group in groups]
+                lines.append((label if agent else name, *numbers))
+    errors = ("", *(error for _, error in _SPLITS for _ in groups))
+    title = "Causes of missed and false objects, per frame in the picture"
+    return TextTable(title, "", ("picture of", *groups, *groups), lines, groups=errors)
 
 
 def check_rows(checks: Mapping[str, Any]) -> list[CheckRow]:
@@ -437,49 +422,42 @@ def check_rows(checks: Mapping[str, Any]) -> list[CheckRow]:
 _PERCENTILES = ("p50", "p95", "p99")
 
 
-def latency_tables(metrics: Mapping[str, Any]) -> tuple[PageTable, PageTable, PageTable]:
+def latency_tables(metrics: Mapping[str, Any]) -> tuple[TextTable, TextTable, TextTable]:
     """Latency from the simulator's frame to its message, of the wires between agents and picture and of the others.
 
     The third: late messages by agent.
     """
-    heads = [Head("wire", kind="code"), *(Head(f"{p[1:]} % (ms)") for p in _PERCENTILES), Head("frames")]
+    headings = ("wire", *(f"{p[1:]} % (ms)" for p in _PERCENTILES), "frames")
     wires = metrics.get("latency_ms", {}).get("by_wire") or {}
-    lines = [
-        Line((wire, *(_two_decimals(summary.get(p)) for p in _PERCENTILES), str(summary.get("n", DASH))))
-        for wire, summary in wires.items()
-        if summary.get("p50") is not None
-    ]
-    main = [line for line in lines if line.cells[0].rpartition("/")[2] in _MAIN_WIRES]
-    others = [line for line in lines if line not in main]
-    late = [Line((str(agent), str(int(number)))) for agent, number in (metrics.get("late") or {}).items()]
-    by_wire, others_by_wire = (PageTable(heads, each, dense=False) for each in (main, others))
-    late_heads = Head("agent", kind="text"), Head("late messages")
-    return by_wire, others_by_wire, PageTable(late_heads, late, dense=False)
+    main, others = list[Sequence[str]](), list[Sequence[str]]()
+    for wire, summary in wires.items():
+        if summary.get("p50") is not None:
+            line = (wire, *(number(summary.get(p)) for p in _PERCENTILES), str(summary.get("n", DASH)))
+            (main if wire.rpartition("/")[2] in _MAIN_WIRES else others).append(line)
+    late = [(str(agent), str(int(count))) for agent, count in (metrics.get("late") or {}).items()]
+    by_wire, others_by_wire = (TextTable("", "", headings, each, kinds={"wire": "code"}) for each in (main, others))
+    return by_wire, others_by_wire, TextTable("", "", ("agent", "late messages"), late)
 
 
 def causes_as_rich(runs: Mapping[str, Mapping[str, Any]], agent: str) -> Table | None:
     """Terminal table of the causes of an agent's errors, a line per run; None: not known."""
-    return _as_rich(cause_table(runs, agent), "Causes of missed and false objects, per frame in the picture")
+    return _as_rich(cause_table(runs, agent))
 
 
-def _as_rich(source: PageTable, title: str) -> Table | None:
+def _as_rich(source: TextTable) -> Table | None:
     """A table of grouped columns for the terminal; None without lines."""
     if not source.lines:
         return None
-    table = Table(title=title, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title=source.title, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("", justify="left", no_wrap=True)
-    for group, heads in source.groups[1:]:
+    for group, heads in source.grouped[1:]:
         for index, head in enumerate(heads):
             table.add_column(f"{group if index == 0 else ''}\n{head.text}", justify="right")
     for line in source.lines:
-        table.add_row(*line.cells)
+        table.add_row(*line)
     return table
 
 
 def check_lines(checks: Mapping[str, Any]) -> list[str]:
     """Terminal lines of the checks, failed ones first."""
     return [f"check {row.name}: {row.outcome}{f' ({row.detail})' if row.detail else ''}" for row in check_rows(checks)]
-
-
-def _two_decimals(value: float | None) -> str:
-    return DASH if value is None else f"{value:.2f}"

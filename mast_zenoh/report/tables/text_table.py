@@ -25,33 +25,62 @@ _TERMINAL = 80  # columns
 _NOT_REACHED = "not reached"
 
 
+class Head(NamedTuple):
+    """A column of a table on a page: its heading, the group that it is in, and its kind: num, text, words or code."""
+
+    text: str
+    group: str
+    kind: str
+
+
 class TextTable(NamedTuple):
-    """A table: its title, sentences about it, its headings and lines; text columns come first.
+    """A table: its title, sentences about it, its headings and lines; the first column names the lines.
 
     A cell can have two lines: a number, and below it its interval.
-    texts: number of text columns;  latex: column types of LaTeX, "": text columns to the left, others to the right
+    texts: number of text columns, which come first;  latex: column types of LaTeX, "": these to the left, others to
+           the right
     groups: of each heading, the name of its group; (): there are none
     terminal: whether the terminal shows it;  brief: whether it does so without the second lines
+    kinds: on a page, by heading, what is neither a name nor a number: text, words or code;  bad: lines that are marked
     """
 
     title: str
     about: str
     headings: Sequence[str]
     lines: Sequence[Sequence[str]]
-    texts: int
+    texts: int = 1
     latex: str = ""
     groups: Sequence[str] = ()
     terminal: bool = True
     brief: bool = False
+    kinds: Mapping[str, str] = {}
+    bad: Sequence[bool] = ()
 
-    def on_page(self) -> PageTable:
-        """The table for an HTML page."""
-        groups = self.groups or [""] * len(self.headings)
-        heads = [
-            Head(text, group if len({*groups} - {""}) > 1 else "", "text" if i < self.texts else "num")
-            for i, (text, group) in enumerate(zip(self.headings, groups, strict=True))
+    @property
+    def heads(self) -> list[Head]:
+        """The columns on a page; a group that all numbers are in needs no name."""
+        grouped = len({*self.groups[self.texts :]}) > 1
+        groups = self.groups if grouped else [""] * len(self.headings)
+        kinds = ["text"] * self.texts + ["num"] * (len(self.headings) - self.texts)
+        return [
+            Head(text, group, self.kinds.get(text, kind))
+            for text, group, kind in zip(self.headings, groups, kinds, strict=True)
         ]
-        return PageTable(heads, [Line(line) for line in self.lines])
+
+    @property
+    def grouped(self) -> list[tuple[str, list[Head]]]:
+        """The columns on a page in groups; those without a group have an empty name."""
+        return [(name, list(heads)) for name, heads in itertools.groupby(self.heads, key=lambda head: head.group)]
+
+    @property
+    def classes(self) -> list[str]:
+        """The style of each column on a page: its kind, and whether a group begins, or ends before it."""
+        heads = self.heads
+        result = [heads[0].kind]
+        for before, head in itertools.pairwise(heads):
+            ends = any(each.group for each in heads) and not (head.group and head.group == before.group)
+            result.append(f"{head.kind} first" if ends else head.kind)
+        return [kind.removeprefix("text").strip() for kind in result]
 
     def columns(self, chosen: Sequence[int]) -> TextTable:
         """The table with some of its columns."""
@@ -119,44 +148,6 @@ class TextTable(NamedTuple):
             result.add_column(heading, justify="left" if index == 0 else "right", width=width)
         for line in self.lines:
             result.add_row(*map(escape, line))
-        return result
-
-
-class Head(NamedTuple):
-    """A column of a table on a page: its heading, the group that it is in, and its kind: num, text, words or code."""
-
-    text: str
-    group: str = ""
-    kind: str = "num"
-
-
-class Line(NamedTuple):
-    """A line of a table on a page; style: "bad", "hostile" or none."""
-
-    cells: Sequence[str]
-    style: str = ""
-
-
-class PageTable(NamedTuple):
-    """A table on a page; its first column names the lines."""
-
-    heads: Sequence[Head]
-    lines: Sequence[Line]
-    dense: bool = True
-
-    @property
-    def groups(self) -> list[tuple[str, list[Head]]]:
-        """The columns in groups; those without a group have an empty name."""
-        return [(name, list(heads)) for name, heads in itertools.groupby(self.heads, key=lambda head: head.group)]
-
-    @property
-    def classes(self) -> list[str]:
-        """The style of each column: its kind, and whether a group begins, or ends before it."""
-        grouped, result, previous = any(head.group for head in self.heads), [], None
-        for head in self.heads:
-            first = grouped and previous is not None and not (head.group and head.group == previous)
-            result.append(" ".join([head.kind] * (head.kind != "text") + ["first"] * first))
-            previous = head.group
         return result
 
 
@@ -244,9 +235,9 @@ def wrapped(sentences: str) -> str:
     return "\n".join(textwrap.wrap(sentences, _TERMINAL))
 
 
-def number(value: float, digits: int = 2) -> str:
-    """A number with `digits` decimals, a proper minus sign and no negative zero."""
-    if math.isnan(value):
+def number(value: float | None, digits: int = 2) -> str:
+    """A number with `digits` decimals, a proper minus sign and no negative zero; a dash for what is not known."""
+    if value is None or math.isnan(value):
         return DASH
     text = f"{value:.{digits}f}"
     return text.replace("-", "" if float(text) == 0.0 else "\u2212")
