@@ -36,11 +36,12 @@ class RecordedObserver:
         self._due, self._effort_s, self._share = 0.0, 0.0, 1.0
         self._wires = [*wires]
         messages = [(m.frame, (m.key, Sample(m.step, m.payload))) for m in read(folder)]
-        roles = {name: spec.role for name, spec in resolved.nodes.items()}
+        self.roles = {name: spec.role for name, spec in resolved.nodes.items()}
+        self._assembler = None
         self.waiting: deque[Frame | None] = deque([None])
         for number in numbers:
             own = [sample for frame, sample in messages if frame == number]
-            self.waiting += [self.meter.measure(self.run, number, own, self.wiring, roles), None]
+            self.waiting += [self.meter.measure(self.run, number, own, self.wiring, self.roles), None]
 
     def advance(self) -> Frame | None:
         return self.waiting.popleft() if self.waiting else None

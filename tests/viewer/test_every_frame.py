@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -14,19 +15,19 @@ import mast_zenoh as mast
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runs.frame import Frame
-from mast_zenoh.runs.live import every_frame
+from mast_zenoh.runs.live import observer as observers
 from mast_zenoh.runs.live.every_frame import (
     MOST_PER_KEY,
     PATIENCE,
+    SETTLING,
     SETTLING_AT_MOST,
     FrameAssembler,
-    FrameReceiver,
     Tally,
     patience_for,
     room_for,
 )
 from mast_zenoh.runs.live.measurement import FrameMeter
-from mast_zenoh.runs.live.observer import SETTLING
+from mast_zenoh.runs.live.observer import Observer
 from mast_zenoh.runs.live.reception import ArrivedMessage, Sample
 from mast_zenoh.runs.recorded import frames_of, open_recorded
 from mast_zenoh.wiring.model import Wiring
@@ -119,27 +120,21 @@ def test_at_the_end_what_has_begun_comes_out_as_it_is(assembler: FrameAssembler)
     assert [number for number, _ in assembler.whole(over=True)] == [0, 1]
 
 
-class FrameByFrame:
-    """An observer that hands out the messages of a recording, as much as is asked for."""
+class FrameByFrame(Observer):
+    """An observer that takes the messages of a recording, as much as is asked for."""
 
     def __init__(self, folder: Path, batches: list[list[ArrivedMessage]]) -> None:
         of_recording: Any = RecordedObserver(folder, (9,))
-        self.meter, self.wiring, self.run = of_recording.meter, of_recording.wiring, of_recording.run
-        self.roles = {name: spec.role for name, spec in of_recording.address.resolved.nodes.items()}
-        self.types, self.clock_key = self.meter.keys(self.wiring), self.meter.clock_key(self.wiring)
-        self.address = of_recording.address
+        run: Any = SimpleNamespace(**vars(of_recording.address), roles=of_recording.roles, credentials="none")
+        run.current_wiring = lambda session: (of_recording.wiring, of_recording.roles)
         self.batches = batches
-        self.notes: list[str] = []
-        self.down: list[str] = []
+        super().__init__(run, MagicMock(), every=True)
 
     def keep_up(self) -> list[ArrivedMessage]:
         return self.batches.pop(0)
 
     def is_over(self) -> bool:
         return len(self.batches) == 1
-
-    def note(self, sentence: str) -> None:
-        self.notes.append(sentence)
 
 
 def received(content: bytes) -> Any:
@@ -156,11 +151,9 @@ def arrivals(folder: Path) -> list[ArrivedMessage]:
 
 def all_frames(folder: Path, batches: list[list[ArrivedMessage]], monkeypatch: pytest.MonkeyPatch, **words: Any) -> Any:
     """The frames of a running run that has these messages, and what was counted."""
-    observer: Any = FrameByFrame(folder, batches)
-    monkeypatch.setattr(every_frame, "Observer", lambda *_: observer)
-    monkeypatch.setattr(every_frame, "POLL_S", 0.0)
-    every = FrameReceiver(observer.address, None)  # type: ignore[arg-type]
-    return list(every.frames(threading.Event(), **words)), every.tally
+    monkeypatch.setattr(observers, "EVERY_POLL_S", 0.0)
+    observer = FrameByFrame(folder, batches)
+    return list(observer.frames(threading.Event(), **words)), observer.tally
 
 
 def assert_recorded(live: list[Frame], folder: Path, *, measured: bool) -> None:

@@ -1,30 +1,16 @@
-"""Every frame of a running run, each as soon as it is whole; measured where there is time for it.
-
-Zenoh's own threads fill queues of limited length, so nothing that is done with a frame holds back the run. What does
-not fit, comes too late or is forged is counted.
-"""
+"""Puts the messages of a running run together to frames; what comes too late or is forged is counted."""
 
 from __future__ import annotations
 
 import math
-import threading
-import time
-from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
-import zenoh
-
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.errors import MessageError
-from mast_zenoh.messages import codec
-from mast_zenoh.runs.frame import Frame
-from mast_zenoh.runs.live.address import LiveAddress
-from mast_zenoh.runs.live.observer import SETTLING, Observer
-from mast_zenoh.runs.live.reception import ArrivedMessage, Sample
+from mast_zenoh.runs.live.reception import Sample
 
-#: s between two looks at what has arrived.
-POLL_S = 0.01
+#: Frames of which parts may be missing after every key has been heard since a subscription.
+SETTLING = 3
 #: For how long a silent key is waited for, whose node is there. Frames, at least, and in lock-step, in which every
 #: message comes, though on a busy machine after the clocks of later frames. s, in real time, in which machines and
 #: links delay messages.
@@ -36,10 +22,6 @@ SETTLING_AT_MOST = 100
 MOST_PER_KEY = 32
 #: s of a run in real time for which messages can wait, and the fewest and most of a key.
 _ROOM_S, _LEAST_ROOM, _MOST_ROOM = 20.0, 64, 512
-#: Whole frames that wait, above which there is no time to measure.
-_MOST_WAITING = 5
-#: s without measurements after which they are tried again, first and at most: each time twice as long.
-_PAUSE_S, _LONGEST_PAUSE_S = 5.0, 320.0
 
 
 @dataclass
@@ -156,105 +138,6 @@ class FrameAssembler:
         since = self._newest_clock - self._patience
         awaited = (key for key, heard in self._heard.items() if heard >= since and key not in silent)
         return all(self._newest[key] >= self._next for key in awaited)
-
-
-class FrameReceiver:
-    """Receives every frame of a running run; it is no member of the mesh, and no node waits for it.
-
-    session: a client of the run's router, with the viewer's credentials if the mesh is secure
-    """
-
-    def __init__(self, run: LiveAddress, session: zenoh.Session) -> None:
-        self.observer = Observer(run, session, room_for(run.resolved))
-        self.tally = Tally()
-        patience = patience_for(run.resolved)
-        self._assembler = FrameAssembler(self._keys(), self.observer.clock_key, self.tally, patience)
-        self._wiring = self.observer.wiring
-        self._types = self.observer.types
-        self._resume_at, self._pause_s = 0.0, _PAUSE_S
-
-    def frames(
-        self,
-        stop: threading.Event,
-        measured: Callable[[], bool] = lambda: True,
-        ended: Callable[[], None] = lambda: None,
-    ) -> Iterator[Frame]:
-        """All frames until the run ends, or until `stop` is set: then none of those that wait.
-
-        measured: whether outcomes of objects are of use now;  ended: called when the run has ended
-        """
-        over = False
-        while not over:
-            if stop.wait(POLL_S):
-                return
-            over = self.observer.is_over()  # asked first: what has arrived until then is taken
-            if over:
-                ended()
-            self._add(self.observer.keep_up())
-            waiting = deque(self._assembler.whole(silent=self._silent(), over=over))
-            while waiting and not stop.is_set():
-                number, messages = waiting.popleft()
-                if measured() and self._has_time(len(waiting)):
-                    frame = self._measured(number, messages)
-                else:
-                    self.tally.unmeasured += measured()
-                    frame = self._unmeasured(number, messages)
-                if frame is not None:
-                    self.tally.refused += frame.refused
-                    yield frame
-                else:  # its clock is invalid
-                    self.tally.frames -= 1
-                    self.tally.lost += 1
-
-    def close(self) -> None:
-        """Unsubscribe from everything."""
-        self.observer.close()
-
-    def _keys(self) -> Collection[str]:
-        return self.observer.meter.keys_of_series(self.observer.wiring)
-
-    def _silent(self) -> Collection[str]:
-        """The keys of nodes that are down."""
-        down = self.observer.down
-        return {leg.key for _, leg in self._wiring.legs() if leg.publisher.node in down} if down else ()
-
-    def _add(self, arrived: Iterable[ArrivedMessage]) -> None:
-        if self.observer.wiring is not self._wiring:
-            self._wiring, self._types = self.observer.wiring, self.observer.types
-            self._assembler.follow(self._keys(), self.observer.clock_key)
-        clock, timespan = self.observer.clock_key, self.observer.address.resolved.timespan
-        # The clock first: it tells which frames there can be.
-        for key, step, content in sorted(arrived, key=lambda each: each.key != clock):
-            payload = content.to_bytes()
-            try:
-                header = codec.decode_header_only(payload, self._types[key])
-            except (MessageError, KeyError):
-                self.tally.refused += 1
-                continue
-            if timespan is not None and timespan.refusal(header, step):
-                self.tally.refused += 1
-            else:
-                self._assembler.add(key, header.frame, Sample(step, payload))
-
-    def _has_time(self, waiting: int) -> bool:
-        """Whether there is time to measure a frame. waiting: number of whole frames after it"""
-        now = time.monotonic()
-        if waiting > _MOST_WAITING and now >= self._resume_at:
-            self._resume_at = now + self._pause_s
-            self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
-        return now >= self._resume_at
-
-    def _measured(self, number: int, messages: list[tuple[str, Sample]]) -> Frame | None:
-        observer = self.observer
-        try:
-            return observer.meter.measure(observer.run, number, messages, observer.wiring, observer.roles)
-        except Exception as error:  # of an open mesh anything may come
-            observer.note(f"frame {number} cannot be measured: {error!r:.200}")
-            self.tally.unmeasured += 1
-            return self._unmeasured(number, messages)
-
-    def _unmeasured(self, number: int, messages: list[tuple[str, Sample]]) -> Frame | None:
-        return self.observer.meter.unmeasured(self.observer.run, number, messages, self.observer.wiring)
 
 
 def patience_for(resolved: Resolved) -> int:

@@ -1,20 +1,27 @@
-"""Observes a running run: the newest whole frame that has not been shown yet, and what happens to its nodes."""
+"""Observes a running run: its frames, as many as cost it nothing or all of them, and what happens to its nodes.
+
+Zenoh's own threads fill queues of limited length, so nothing that is done with a frame holds back the run.
+"""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import NamedTuple
 
 import zenoh
 
 from mast_zenoh.config.resolved import driver_of
 from mast_zenoh.control import prefix
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages import codec
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.live.address import LiveAddress
+from mast_zenoh.runs.live.every_frame import SETTLING, FrameAssembler, Tally, patience_for, room_for
 from mast_zenoh.runs.live.measurement import FrameMeter, seen
-from mast_zenoh.runs.live.reception import KEPT, ArrivedMessage, Reception, WireMeter, WireState
+from mast_zenoh.runs.live.reception import KEPT, ArrivedMessage, Reception, Sample, WireMeter, WireState
 from mast_zenoh.runtime.mesh.session import direct
 from mast_zenoh.wiring.model import Wiring
 
@@ -23,14 +30,12 @@ _MOST_FRAMES_PER_S = 10.0
 #: Share of a processor that measuring aims at, by mode. In lock-step every frame waits for the slowest node, so that
 #: whatever else runs on this computer slows the run.
 _PROCESSOR_SHARE = {"lockstep": 0.03, "realtime": 0.3}
-#: s between two looks at what has arrived.
-POLL_S = 0.05
+#: s between two looks at what has arrived; where every frame is received.
+POLL_S, EVERY_POLL_S = 0.05, 0.01
 #: Frames behind the clock: by then, the messages about a frame have arrived.
 _BEHIND = 2
 #: s without a clock after which the last frame is taken if nothing of it is missing: the run has paused or ended.
 _SILENCE_S = 0.5
-#: Frames of which parts may be missing after every key has been heard since a subscription.
-SETTLING = 3
 #: Longest wait after a subscription for the keys on which nothing comes, s from the first clock on. On a busy machine,
 #: publishers learn of a subscription late.
 _SETTLING_S = 1.0
@@ -48,6 +53,10 @@ _MOST_NOTES = 10
 #: s for which the wiring is asked for after an epoch, and between two questions.
 _ASK_WIRING_FOR_S, _ASK_WIRING_EVERY_S = 3.0, 0.5
 _MOST_INSERTIONS = 100
+#: Whole frames that wait, above which there is no time to measure every one.
+_MOST_WAITING = 5
+#: s without measurements after which they are tried again, first and at most: each time twice as long.
+_PAUSE_S, _LONGEST_PAUSE_S = 5.0, 320.0
 
 
 class Insertion(NamedTuple):
@@ -63,15 +72,15 @@ class Observer:
     """Receives a run passively: it is no member of the mesh, and no node waits for it.
 
     session: a client of the run's router, with the viewer's credentials if the mesh is secure
-    room:    None: frames are measured at a pace that the run does not feel; else everything is received, and so many
-             messages of a key can wait
+    every:   all frames are received, and measured where there is time for it; else as many as the run does not feel
 
     run:    as of the newest frame that `frames` has measured;  insertions: nodes inserted since the observer joined
     wiring: the current one;  meter: measures its frames;  address: how the run is reached
     types:  message types of the keys that frames need;  clock_key: the one of the clock
+    tally:  of frames and messages, where every frame is received
     """
 
-    def __init__(self, address: LiveAddress, session: zenoh.Session, room: int | None = None) -> None:
+    def __init__(self, address: LiveAddress, session: zenoh.Session, *, every: bool = False) -> None:
         self.address = address
         self.session = session
         self.meter = FrameMeter(address.resolved)
@@ -80,13 +89,14 @@ class Observer:
         self._base = prefix(address.id)
         timespan = address.resolved.timespan
         frames = None if timespan is None else max(1, timespan.frames)
-        self._reception = Reception(session, self._base, frames, room or KEPT)
+        room = room_for(address.resolved) if every else KEPT
+        self._reception = Reception(session, self._base, frames, room)
         self._wires = WireMeter(self._reception)
         self.types: dict[str, str] = {}
         self.clock_key = ""
         # In lock-step the next frame waits until all copies of a message have been sent. So if frames are fast, this
         # observer receives copies only for the moment that a measured frame needs.
-        self._in_bursts = address.resolved.mode == "lockstep" and room is None
+        self._in_bursts = address.resolved.mode == "lockstep" and not every
         self._listening = self._receiving = True
         self._last = -1  # the newest frame that has been measured
         #: The newest frame of which parts may be missing, because of a new subscription; None: not known yet.
@@ -100,6 +110,9 @@ class Observer:
         self._time_s = 0.0
         self._newest, self._since = -1, time.monotonic()
         self._asked, self._unanswered = self._since, 0
+        self.tally = Tally()
+        self._assembler = FrameAssembler((), "", self.tally, patience_for(address.resolved)) if every else None
+        self._resume_at, self._pause_s = 0.0, _PAUSE_S
         #: Whether each node is there, of those that have been: set in Zenoh's thread.
         self._presence: dict[str, bool] = {}
         self._epoch_began = threading.Event()
@@ -143,13 +156,21 @@ class Observer:
             return None
         if now - self._since > _SILENCE_S:
             return self.last_frame()
-        return self._measured(newest - _BEHIND) if self._is_whole(newest - _BEHIND) else None
+        return self._shown(newest - _BEHIND) if self._is_whole(newest - _BEHIND) else None
 
-    def frames(self, stop: threading.Event, ended: Callable[[], None] = lambda: None) -> Iterator[Frame]:
-        """All frames that are measured, until the run ends or `stop` is set; of a run that ends also its newest one.
+    def frames(
+        self,
+        stop: threading.Event,
+        ended: Callable[[], None] = lambda: None,
+        measured: Callable[[], bool] = lambda: True,
+    ) -> Iterator[Frame]:
+        """The frames until the run ends, its newest one included, or until `stop` is set: then none of those that wait.
 
-        ended: called when the run has ended
+        ended: called when the run has ended;  measured: where every frame is received, whether outcomes are of use now
         """
+        if self._assembler is not None:
+            yield from self._every_frame(self._assembler, stop, ended, measured)
+            return
         while not stop.is_set():
             frame = self.advance()
             if frame is not None:
@@ -163,11 +184,68 @@ class Observer:
                 return
             stop.wait(POLL_S)
 
+    def _every_frame(
+        self,
+        assembler: FrameAssembler,
+        stop: threading.Event,
+        ended: Callable[[], None],
+        measured: Callable[[], bool],
+    ) -> Iterator[Frame]:
+        """See `frames`."""
+        over = False
+        while not over and not stop.wait(EVERY_POLL_S):
+            over = self.is_over()  # asked first: what has arrived until then is taken
+            if over:
+                ended()
+            self._add(assembler, self.keep_up())
+            waiting = deque(assembler.whole(silent=self._unpublished(), over=over))
+            while waiting and not stop.is_set():
+                (number, messages), wanted = waiting.popleft(), measured()
+                frame = self._measured(number, messages) if wanted and self._has_time(len(waiting)) else None
+                if frame is None:
+                    frame = self.meter.unmeasured(self.run, number, messages, self.wiring)
+                    self.tally.unmeasured += wanted and frame is not None
+                if frame is not None:
+                    self.tally.refused += frame.refused
+                    yield frame
+                else:  # its clock is invalid
+                    self.tally.frames -= 1
+                    self.tally.lost += 1
+
+    def _add(self, assembler: FrameAssembler, arrived: Iterable[ArrivedMessage]) -> None:
+        """Sort messages by the frames that they are about; those that receivers refuse are counted."""
+        timespan = self.address.resolved.timespan
+        # The clock first: it tells which frames there can be.
+        for key, step, content in sorted(arrived, key=lambda each: each.key != self.clock_key):
+            payload = content.to_bytes()
+            try:
+                header = codec.decode_header_only(payload, self.types[key])
+            except (MessageError, KeyError):
+                self.tally.refused += 1
+                continue
+            if timespan is not None and timespan.refusal(header, step):
+                self.tally.refused += 1
+            else:
+                assembler.add(key, header.frame, Sample(step, payload))
+
+    def _unpublished(self) -> Collection[str]:
+        """The keys of nodes that are down."""
+        down = self.down
+        return {leg.key for _, leg in self.wiring.legs() if leg.publisher.node in down} if down else ()
+
+    def _has_time(self, waiting: int) -> bool:
+        """Whether there is time to measure a frame. waiting: number of whole frames after it"""
+        now = time.monotonic()
+        if waiting > _MOST_WAITING and now >= self._resume_at:
+            self._resume_at = now + self._pause_s
+            self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
+        return now >= self._resume_at
+
     def last_frame(self) -> Frame | None:
         """The newest whole frame of a run that is over or silent; None if there is none that has not been measured."""
         self.keep_up()
         number = self._newest if self._is_heard(self._newest) else self._newest - _BEHIND
-        return self._measured(number) if self._is_heard(number) or self._is_whole(number) else None
+        return self._shown(number) if self._is_heard(number) or self._is_whole(number) else None
 
     def listen(self, *, everything: bool) -> None:
         """Receive everything that frames need, or only the clock, which costs the run nothing."""
@@ -230,16 +308,20 @@ class Observer:
         """Whether a new frame, of some time ago, is as complete as it becomes."""
         return self._incomplete is not None and number > max(self._last, self._incomplete)
 
-    def _measured(self, number: int) -> Frame | None:
+    def _measured(self, number: int, messages: Iterable[tuple[str, Sample]]) -> Frame | None:
         """Measure a frame; None if it cannot be measured."""
-        now, newest = time.monotonic(), self._newest
-        begun = time.process_time()
         try:
-            messages = self._reception.sent_since(number)
-            measured = self.meter.measure(self.run, number, messages, self.wiring, self.roles)
+            return self.meter.measure(self.run, number, messages, self.wiring, self.roles)
         except Exception as error:  # of an open mesh anything may come: one frame is lost, and the page says so
             self.note(f"frame {number} cannot be measured: {error!r:.200}")
-            measured, self._last = None, number
+            self._last = max(self._last, number)
+            return None
+
+    def _shown(self, number: int) -> Frame | None:
+        """Measure a frame, and set when the next one is due; None if it cannot be measured."""
+        now, newest = time.monotonic(), self._newest
+        begun = time.process_time()
+        measured = self._measured(number, self._reception.sent_since(number))
         self._wires.note(now, self.types)
         self._frames_per_s = (newest - self._newest_then) / (now - self._measured_at)
         self._measured_at, self._newest_then = now, newest
@@ -255,6 +337,8 @@ class Observer:
         """Receive the keys of the current wiring."""
         self.types = self.meter.keys(self.wiring)
         self.clock_key = self.meter.clock_key(self.wiring)
+        if self._assembler is not None:
+            self._assembler.follow(self.meter.keys_of_series(self.wiring), self.clock_key)
         self._subscribe()
 
     def _receive(self, *, everything: bool) -> None:

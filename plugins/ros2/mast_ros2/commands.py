@@ -139,7 +139,6 @@ def _observe(
     """Publish a running run until its end, or until standard input ends."""
     from mast_ros2.bridge import Ros2Bridge, frames_to_the_end
     from mast_zenoh.runs.live import priority
-    from mast_zenoh.runs.live.every_frame import FrameReceiver
     from mast_zenoh.runs.live.observer import Observer
 
     with ExitStack() as stack:
@@ -147,21 +146,20 @@ def _observe(
         running, session, stop = observers.join(stack, target, run, allowed)
         nodes = running.resolved.nodes
         partners = {name: spec.config for name, spec in nodes.items() if "ros2" in spec.config}
-        if every_frame or running.resolved.mode == "realtime":
-            every = FrameReceiver(running, session)
-            stack.callback(every.close)
+        lockstep = running.resolved.mode == "lockstep"
+        every = every_frame or not lockstep
+        observer = Observer(running, session, every=every)
+        stack.callback(observer.close)
+        bridge = Ros2Bridge(observer.run, participant, namespace, partners)
+        if every:
             # In real time the run waits for nobody, and on a busy machine a process of low priority would lose frames.
-            restore = priority.yield_to_nodes() if running.resolved.mode == "lockstep" else lambda: None
+            restore = priority.yield_to_nodes() if lockstep else lambda: None
             stack.callback(restore)
-            bridge = Ros2Bridge(every.observer.run, participant, namespace, partners)
-            frames = every.frames(stop, lambda: bridge.shows_outcomes, restore)
-            _publish(bridge, frames, lambda: [*every.tally.sentences(), *every.observer.meter.notes])
+            frames = observer.frames(stop, restore, lambda: bridge.shows_outcomes)
+            _publish(bridge, frames, lambda: [*observer.tally.sentences(), *observer.meter.notes])
         else:
-            observer = Observer(running, session)
-            stack.callback(observer.close)
             restore = priority.yield_processors()
             stack.callback(restore)
-            bridge = Ros2Bridge(observer.run, participant, namespace, partners)
             frames = frames_to_the_end(bridge, observer, stop, restore)
             _publish(bridge, frames, lambda: observer.meter.notes, lambda: max(observer.frame, bridge.newest) + 1)
 
