@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict, deque
 from collections.abc import Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -61,24 +61,22 @@ class _Believed(NamedTuple):
     informed: Bools
 
 
-@dataclass(frozen=True, eq=False)
 class DrivenCars:
-    """The driven cars of a run. take_over: the frame from which on they obey a command"""
+    """The driven cars of some frames of a run."""
 
-    settings: Evaluation
-    assessment: ScoredFrames
-    take_over: int
+    def __init__(self, scored: ScoredFrames, settings: Evaluation) -> None:
+        self._scored, self._scores, self._data, self._settings = scored, scored.scores, scored.data, settings
+        self._take_over = settings.take_over_frame(scored.data.period_s)
 
     def cars(self) -> dict[str, DrivenCar]:
         """What is known of each of them."""
-        data, scores = self.assessment.data, self.assessment.scores
-        frames, truth, min_points = scores.frames, scores.truth, self.settings.scorer.min_points
+        frames, truth = self._scores.frames, self._scores.truth
         row_of = {frame: row for row, frame in enumerate(frames.tolist())}
         result = {}
-        for car, vehicle, objects, ids in vehicles(data.record.agents, truth, len(frames)):
-            if car not in data.heard:
+        for car, vehicle, objects, ids in vehicles(self._data.record.agents, truth, len(frames)):
+            if car not in self._data.heard:
                 continue
-            heard, column = data.heard[car], data.record.agents.index(car)
+            heard, column = self._data.heard[car], self._data.record.agents.index(car)
             believed, (obeyed, refused) = self._believed(car, heard), self._obeyed(heard)
             of = np.array([row_of.get(frame, -1) for frame in obeyed])
             others = truth.boxes.id != truth.agent_object[truth.boxes.group, column]
@@ -88,11 +86,11 @@ class DrivenCars:
                 car=vehicle,
                 objects=objects,
                 ids=ids,
-                seen=truth.points[others, column] >= min_points,
+                seen=truth.points[others, column] >= self._settings.scorer.min_points,
                 known=known,
                 frames=frames,
                 times_s=np.array([self._time_ns(frame) * 1e-9 for frame in frames.tolist()]),
-                period_s=data.period_s,
+                period_s=self._data.period_s,
                 routes={row_of[frame]: route for frame, route in sorted(heard.routes.items()) if frame in row_of},
                 believed=believed.objects,
                 belief=believed.belief,
@@ -101,29 +99,22 @@ class DrivenCars:
                     informed=believed.informed,
                     tampered=self._tampered(car, heard, obeyed, refused),
                     left_out=frozenset(heard.left_out),
-                    first=int(frames.searchsorted(self.take_over)),
+                    first=int(frames.searchsorted(self._take_over)),
                 ),
-                look=self.settings.driving,
+                look=self._settings.driving,
                 on_truth=None if heard.on_truth is None else heard.on_truth.in_frames(frames),
             )
         return result
 
     def _time_ns(self, frame: int) -> int:
-        data = self.assessment.data
-        return data.times_ns.get(frame, round(frame * data.period_s * 1e9))
-
-    @property
-    def _recent(self) -> int:
-        """Frames for which a manipulation of an object counts."""
-        return round(_RECENT_S / self.assessment.data.period_s)
+        return self._data.times_ns.get(frame, round(frame * self._data.period_s * 1e9))
 
     def _believed(self, car: str, heard: Heard) -> _Believed:
         """The objects of the estimates by which the car's driver drove in each frame, at the time of the frame."""
-        scores = self.assessment.scores
-        rows = scores.every_series
+        rows = self._scores.every_series
         frame, about, series = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
         position, parts = [np.zeros((0, 3))], [Snapshot.of(ObjectStates.empty())]
-        informed = np.zeros(len(scores.frames), np.bool_)
+        informed = np.zeros(len(self._scores.frames), np.bool_)
         for row, held in self._used(car, heard):
             informed[row] = True
             for arrival, places, counts in held:
@@ -144,7 +135,7 @@ class DrivenCars:
         """
         held = {port: self._usable(car, arrivals) for port, arrivals in heard.estimates.items()}
         views, refutations = self._usable(car, heard.views), Refutations()
-        for row, frame in enumerate(self.assessment.scores.frames.tolist()):
+        for row in range(len(self._scores.frames)):
             now = {port: of_port[row] for port, of_port in held.items() if row in of_port}
             moved = {
                 port: arrival.objects.position + arrival.objects.velocity * age_s
@@ -156,29 +147,30 @@ class DrivenCars:
                     continue
                 objects = now["mission"][0].objects
                 free = _free(objects, moved["mission"], views.get(row))
-                free = refutations.update(self._time_ns(frame), objects.id, free)
+                free = refutations.update(self._time_ns(int(self._scores.frames[row])), objects.id, free)
                 counts["mission"] = upheld(moved["safety"], moved["mission"], free)
             if now:
                 yield row, [(now[port][0], moved[port], counts[port]) for port in now]
 
     def _usable(self, car: str, arrivals: Mapping[int, Item]) -> dict[int, tuple[Item, float]]:
         """By row of the frames, what the driver held then and its age in s, where it is not too old."""
-        numbers = self.assessment.scores.frames.tolist()
-        limit_ns = round(self.settings.estimate_ages_s.get(car, driver.ESTIMATE_AGE_S) * 1e9)
+        numbers, limit_ns = (
+            self._scores.frames.tolist(),
+            round(self._settings.estimate_ages_s.get(car, driver.ESTIMATE_AGE_S) * 1e9),
+        )
         ages = ((row, item, self._time_ns(numbers[row]) - item.time_ns) for row, item in _held(arrivals, numbers))
         return {row: (item, age_ns * 1e-9) for row, item, age_ns in ages if 0 <= age_ns <= limit_ns}
 
     def _belief(self, objects: Snapshot, about: Ints, series: Ints) -> Belief:
         """What n objects of estimates are. series: (n,) row of `Scores.series`, -1: not scored, -2: the truth"""
-        scores, labels = self.assessment.scores, self.assessment.labels
-        judged = scores.judged
+        judged, labels = self._scores.judged, self._scored.labels
         tracks = np.flatnonzero(judged.is_track)
         attacked = (judged.outcome == FALSE) & np.isin(labels.cause, range(len(ATTACK_CAUSES)))
         at = find((series, about, objects.id), (judged.series[tracks], judged.frame[tracks], judged.id[tracks]))
         row = np.append(tracks[self._mostly(tracks, attacked[tracks])], -1)[at]
         outcome = np.where(row >= 0, judged.outcome[row], -1) if len(tracks) else np.full(len(row), -1)
-        there = scores.truth.boxes
-        near, _ = nearest(Places(about, objects.position), Places(scores.truth_frame, there.position), _SAME_M)
+        there = self._scores.truth.boxes
+        near, _ = nearest(Places(about, objects.position), Places(self._scores.truth_frame, there.position), _SAME_M)
         real = np.where(near >= 0, np.append(there.id, -1)[near], -1)
         real = np.where(series == -2, objects.id, real)
         matched = outcome == MATCHED
@@ -197,7 +189,7 @@ class DrivenCars:
 
         tracks: (n,) rows of `Scores.judged`; attacked: (n,) which of them follow a lie
         """
-        judged, around = self.assessment.scores.judged, self._recent
+        judged, around = self._scores.judged, round(_RECENT_S / self._data.period_s)
         series, id_, frame = judged.series[tracks], judged.id[tracks], judged.frame[tracks]
         order = np.lexsort((frame, id_, series))
         new = (np.diff(series[order], prepend=-1) != 0) | (np.diff(id_[order], prepend=-1) != 0)
@@ -217,12 +209,12 @@ class DrivenCars:
 
         real: (n,) ids, -1: false; about: (n,) frames; series: (n,), as in `_belief`
         """
-        manipulations = self.assessment.manipulations
-        names = manipulations.culprits
+        names = self._scored.manipulations.culprits
         by = np.zeros((len(real), len(names)), np.bool_)
         rows = np.flatnonzero((real >= 0) & (series >= 0))
-        own, hidden = np.zeros(0, np.bool_), Hidden.of(manipulations)
-        for kind, culprit, recently in hidden.recent(real[rows], about[rows], series[rows], own, self._recent):
+        most, own = round(_RECENT_S / self._data.period_s), np.zeros(0, np.bool_)
+        hidden = Hidden.of(self._scored.manipulations)
+        for kind, culprit, recently in hidden.recent(real[rows], about[rows], series[rows], own, most):
             if kind in (MOVED, ALTERED) and culprit >= 0:
                 by[rows[recently], culprit] = True
         return joined_names(names, by)
@@ -232,16 +224,16 @@ class DrivenCars:
 
         And the frames whose commands it refuses.
         """
-        limits, hold = self.settings.car_limits, round(self.settings.hold_s / self.assessment.data.period_s)
-        actuation = Actuation(limits, hold, limits.braking)
+        limits = self._settings.car_limits
+        actuation = Actuation(limits, round(self._settings.hold_s / self._data.period_s), limits.braking)
         waiting = deque(sorted(heard.commands, key=lambda arrival: arrival[0]))
         obeyed, refused = [], set()
-        for frame in self.assessment.scores.frames.tolist():
+        for frame in self._scores.frames.tolist():
             while waiting and waiting[0][0] <= frame:
                 step, sent, command = waiting.popleft()
                 if actuation.receive(sent, step, command):
                     refused.add(sent)
-            obeyed.append(actuation.obeyed(frame + 1) if frame >= self.take_over else -1)
+            obeyed.append(actuation.obeyed(frame + 1) if frame >= self._take_over else -1)
         return obeyed, refused
 
     def _tampered(self, car: str, heard: Heard, obeyed: Sequence[int], refused: Container[int]) -> list[str]:
@@ -254,21 +246,25 @@ class DrivenCars:
         """
         changed: dict[int, set[str]] = defaultdict(set)
         withheld: dict[int, set[str]] = defaultdict(set)
-        effects, roles = self.assessment.effects, self.assessment.data.roles
+        effects = self._scored.effects
         counts = ~np.isin(effects.code, [CODE[name] for name in _UNCHANGED])
         withholds = np.isin(effects.code, [CODE[name] for name in _WITHHELD])
         for number, passage in enumerate(effects.passages):
-            if passage.message == "command" and passage.subject == car and roles.get(passage.node) == "adversary":
+            if (
+                passage.message == "command"
+                and passage.subject == car
+                and self._data.roles.get(passage.node) == "adversary"
+            ):
                 own = counts & (effects.passage == number)
                 for names, which in ((changed, own), (withheld, own & withholds)):
                     for frame in effects.frame[which].tolist():
                         names[frame].add(passage.node)
         accelerations = {frame: command.acceleration for _, frame, command in heard.commands}
         result = []
-        for frame, of in zip(self.assessment.scores.frames.tolist(), obeyed, strict=True):
+        for frame, of in zip(self._scores.frames.tolist(), obeyed, strict=True):
             if of < 0:
                 names = changed if frame in refused else withheld
-                by = names.get(frame, set()) if frame >= self.take_over else set()
+                by = names.get(frame, set()) if frame >= self._take_over else set()
             else:
                 harder = heard.wanted.get(of, np.inf) - accelerations[of] > _SAME_MPS2
                 by = changed.get(of, set()) if harder else set()

@@ -153,22 +153,34 @@ class Evaluation:
         updates = [data.trust[int(frame)] for frame in frames if int(frame) in data.trust]
         displaced = displaced_by_links(interposed, effects, scores, data.influences)
         begin = round(self.attribution.begin_s / data.period_s)
+
+        def cut_off(listener: str = "") -> CutOffObjects:
+            """Objects known only to agents whose tracks links did not deliver to a listener, or displaced."""
+            stopped = stopped_by_links(effects, data.roles, agents, scores.frames, data.influences, listener)
+            silent = data.presence.absent(agents, scores.frames) | stopped
+            moved = displaced & (np.array(agents) != listener)
+            undelivered = ~self._in_time(data, agents, scores.frames)
+            return self.cut_off.objects(scores, data.period_s, silent, undelivered, min_points, moved)
+
         attributor = Attributor(
             self.attribution,
             scores,
             without_unseen(interposed, effects, scores, min_points, begin),
             data.period_s,
-            cut_off_objects(self.cut_off, data, scores, effects, displaced, min_points),
+            cut_off(),
             min_points,
             Withheld.of(updates, agents, scores.frames, SUSPENDED),
             np.asarray(displaced.any(axis=1)),
             [ego_of(agents)] if own_pictures(data) else None,  # the trust of the ego's peer is evaluated
-            {
-                agent: cut_off_objects(self.cut_off, data, scores, effects, displaced, min_points, agent)
-                for agent in own_pictures(data)
-            },
+            {agent: cut_off(agent) for agent in own_pictures(data)},
         )
         return ScoredFrames(data, scores, effects, from_absence, interposed, attributor.labels())
+
+    def _in_time(self, data: RunData, agents: Sequence[str], frames: Ints) -> Bools:
+        """(f, a) whether the tracks of an agent were sent while they were of use."""
+        within = self.cut_off.useful_age_s / data.period_s + 1e-6
+        sent = [[data.tracks_sent.get((name, frame), np.inf) - frame for name in agents] for frame in frames.tolist()]
+        return np.asarray(np.reshape(sent, (len(frames), len(agents))) <= within)
 
     def frame_tables(self, data: RunData) -> dict[str, Any]:
         """Evaluate frames without summarising them, for a view of a running run.
@@ -184,6 +196,10 @@ class Evaluation:
             "metrics": per_frame(assessment.scores),
             **assessment.tables(-np.inf, np.inf, assessment.agreement(-np.inf, np.inf)),
         }
+
+    def take_over_frame(self, period_s: float) -> int:
+        """The frame from which on cars obey commands. period_s: s, of a frame"""
+        return round(self.take_over_s / period_s)
 
     def scored(self, frames: int) -> slice:
         """The scored ones among `frames` frames."""
@@ -237,33 +253,6 @@ class Earlier:
 def own_pictures(data: RunData) -> list[str]:
     """The agents that have a picture of their own, without a centre."""
     return [agent for agent, estimator in data.record.series() if agent and estimator == PICTURE]
-
-
-def cut_off_objects(
-    cut_off: CutOff,
-    data: RunData,
-    scores: Scores,
-    effects: Effects,
-    displaced: Bools,
-    min_points: int,
-    listener: str = "",
-) -> CutOffObjects:
-    """Objects known only to agents whose tracks links did not deliver, or displaced (n, a).
-
-    listener: the agent to whose peer they did not deliver them; empty: a centre
-    """
-    agents, frames = scores.agents, scores.frames
-    stopped = stopped_by_links(effects, data.roles, agents, frames, data.influences, listener)
-    silent = data.presence.absent(agents, frames) | stopped
-    if listener:
-        displaced = displaced & (np.array(agents) != listener)
-    within = cut_off.useful_age_s / data.period_s + 1e-6
-    sent = [
-        [data.tracks_sent.get((agent, frame), np.inf) - frame <= within for agent in agents]
-        for frame in frames.tolist()
-    ]
-    undelivered = ~np.array(sent, bool).reshape(len(frames), len(agents))
-    return cut_off.objects(scores, data.period_s, silent, undelivered, min_points, displaced)
 
 
 def by_agent(same_as: Mapping[tuple[str, str], tuple[str, str]]) -> dict[str, dict[str, str]]:

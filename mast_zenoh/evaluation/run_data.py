@@ -94,6 +94,19 @@ class Heard:
         return "view" in self.ports
 
 
+def _since(arrivals: Mapping[int, Item], first: int) -> dict[int, Item]:
+    """The arrivals from a frame on, and the one before it that may still be the newest in it."""
+    past = [step for step in arrivals if step < first]
+    newest = max(past, key=lambda step: (arrivals[step].about, -step), default=first)
+    return {step: item for step, item in arrivals.items() if step >= first or step == newest}
+
+
+def _keep_newest(arrivals: dict[int, Item], step: int, item: Item) -> None:
+    kept = arrivals.get(step)
+    if kept is None or item.about > kept.about:
+        arrivals[step] = item
+
+
 @dataclass
 class RunData:
     """Data collected from the messages of a run; of a long one, of its latest frames.
@@ -193,16 +206,3 @@ class RunData:
 def ego_of(agents: Sequence[str]) -> str:
     """The main agent of an evaluation: "ego" if there is one, else the first."""
     return "ego" if "ego" in agents else next(iter(agents), "")
-
-
-def _since(arrivals: Mapping[int, Item], first: int) -> dict[int, Item]:
-    """The arrivals from a frame on, and the one before it that may still be the newest in it."""
-    past = [step for step in arrivals if step < first]
-    newest = max(past, key=lambda step: (arrivals[step].about, -step), default=first)
-    return {step: item for step, item in arrivals.items() if step >= first or step == newest}
-
-
-def _keep_newest(arrivals: dict[int, Item], step: int, item: Item) -> None:
-    kept = arrivals.get(step)
-    if kept is None or item.about > kept.about:
-        arrivals[step] = item

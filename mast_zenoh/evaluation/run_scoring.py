@@ -206,10 +206,7 @@ class RunScoring:
                 name: Drive._make(column[rows] for column in drive)
                 for name, drive in driving.drives(settings.driving, data.record, scores, labels).items()
             },
-            driven={
-                car: driven.part(rows, later)
-                for car, driven in DrivenCars(settings, assessment, self._take_over).cars().items()
-            },
+            driven={car: driven.part(rows, later) for car, driven in DrivenCars(assessment, settings).cars().items()},
             pictures=(
                 pictures,
                 frames[scored],
@@ -251,10 +248,6 @@ class RunScoring:
         if any(isinstance(metric, RunMetric) for metric in metrics):
             estimates = [EstimateColumns.of(row, scores, labels, counted, rows) for row in range(len(scores.series))]
         return {"own": own, "estimates": estimates}
-
-    @property
-    def _take_over(self) -> int:
-        return round(self.settings.take_over_s / self.data.period_s)
 
     def _victims(self, assessment: ScoredFrames) -> dict[str, set[int]]:
         """By interposer, the columns of the agents whose wires it intercepts."""
@@ -348,7 +341,7 @@ class RunScoring:
 
     def _happened(self, joined: Joined) -> tuple[dict[str, Any], Table]:
         """What happened to each driven car ("driven" of metrics.json), and the columns of driven.parquet."""
-        cars = joined.driven(self._take_over)
+        cars = joined.driven(self.settings.take_over_frame(self.data.period_s))
         courses = {car: course(driven) for car, driven in cars.items()}
         table: Table = {
             "agent": np.repeat(np.array([*courses], object), [len(each["frame"]) for each in courses.values()])

@@ -14,35 +14,6 @@ terminal           results on the terminal
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from mast_zenoh.report.run_figure import FigureContext, RunFigure
 
-if TYPE_CHECKING:
-    from mast_zenoh.report.html import write_report, write_study_report
-    from mast_zenoh.report.run_figure import FigureContext, RunFigure
-    from mast_zenoh.report.tables.scores import ScoreTable, as_markdown, as_rich, score_table
-
-#: By name, the module that has it. It is imported at the first use: files of scenarios import `RunFigure`, also in the
-#: processes of nodes, which do not draw.
-_PLACES = {
-    **dict.fromkeys(("write_report", "write_study_report"), "mast_zenoh.report.html"),
-    **dict.fromkeys(("FigureContext", "RunFigure"), "mast_zenoh.report.run_figure"),
-    **dict.fromkeys(("ScoreTable", "as_markdown", "as_rich", "score_table"), "mast_zenoh.report.tables.scores"),
-}
-
-__all__ = [
-    "FigureContext",
-    "RunFigure",
-    "ScoreTable",
-    "as_markdown",
-    "as_rich",
-    "score_table",
-    "write_report",
-    "write_study_report",
-]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(_PLACES[name]), name)
+__all__ = ["FigureContext", "RunFigure"]

@@ -32,7 +32,7 @@ from mast_zenoh.report.findings.words import defence_line, said, text
 from mast_zenoh.report.narrative import study as narrative
 from mast_zenoh.report.run_figure import FigureContext
 from mast_zenoh.report.tables import of_run as tables_of_run
-from mast_zenoh.report.tables.scores import Cell, ScoreTable, Value, number, score_table, signed
+from mast_zenoh.report.tables.scores import ScoreTable, Value, number, score_table, signed
 from mast_zenoh.report.tables.study import difference_title, sections, side_by_side
 from mast_zenoh.report.tables.text_table import TextTable
 from mast_zenoh.report.tables.wiring import wire_rows
@@ -381,7 +381,7 @@ def _score_rows(table: ScoreTable) -> dict[str, Any]:
     for row in table.rows:
         cells = []
         for name in table.estimates:
-            cell = row.cells.get(name, Cell(Value(), Value()))
+            cell = row.cell(name)
             change = None if cell.change.mean is None else signed(cell.change, row.measure)
             cells.append((number(cell.value, row.measure), spread(cell.value), change))
         over = signed(row.over_alone, row.measure), spread(row.over_alone), None

@@ -25,7 +25,7 @@ def test_every_figure_is_drawn_and_names_the_worst_adversary_in_words() -> None:
     ]
     assert "Open: 4.20 by Ghost, 1 adversary" in figures["defence_matrix"].alt
     assert "Wall 0.90" in figures["roc"].alt
-    assert all(figure.pdf for figure in figures.values()), "for print"
+    assert all("pdf" in figure.files for figure in figures.values()), "for print"
 
 
 def test_the_heat_maps_have_a_scale_and_explain_their_marks(monkeypatch: pytest.MonkeyPatch) -> None:

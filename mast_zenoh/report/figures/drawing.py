@@ -29,25 +29,27 @@ class RenderedFigure:
     """A figure as it goes into the page.
 
     name:    of the file under figures/, without extension
-    png:     bytes
     alt:     alternative text
     caption: how to read it
-    svg:     bytes, where the page shows the SVG
-    pdf:     bytes, of a figure of a study
+    files:   contents by extension: png; svg, where the page shows that; pdf, of a figure of a study
     """
 
     name: str
-    png: bytes
     alt: str
     caption: str
-    svg: bytes | None = None
-    pdf: bytes | None = None
+    files: Mapping[str, bytes]
+
+    @property
+    def png(self) -> bytes:
+        """The PNG."""
+        return self.files["png"]
 
     @property
     def source(self) -> str:
         """A data URI of the figure, for `img src`."""
-        kind, data = ("svg+xml", self.svg) if self.svg else ("png", self.png)
-        return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+        kind = "svg" if "svg" in self.files else "png"
+        data = base64.b64encode(self.files[kind]).decode()
+        return f"data:image/{_TYPES[kind]};base64,{data}"
 
     @property
     def pixels(self) -> tuple[int, int]:
@@ -57,28 +59,26 @@ class RenderedFigure:
     def save(self, folder: Path) -> None:
         """Write `folder/<name>.png`, and `.svg` and `.pdf` where there are any."""
         folder = subfolder(folder.parent, folder.name)
-        for suffix, data in self._files.items():
-            write_bytes(folder / f"{self.name}.{suffix}", data)
+        for extension, data in self.files.items():
+            write_bytes(folder / f"{self.name}.{extension}", data)
 
     @property
     def names(self) -> list[str]:
         """The names of the files that `save` writes."""
-        return [f"{self.name}.{suffix}" for suffix in self._files]
+        return [f"{self.name}.{extension}" for extension in self.files]
 
-    @property
-    def _files(self) -> dict[str, bytes]:
-        files = {"png": self.png, "svg": self.svg, "pdf": self.pdf}
-        return {suffix: data for suffix, data in files.items() if data}
+
+_TYPES = {"png": "png", "svg": "svg+xml"}
 
 
 def render(
     name: str, figure: figures.Figure, alt: str, caption: str, *, vector: bool = False, printed: bool = False
 ) -> RenderedFigure:
     """Render a figure. vector: also as SVG, for the page; printed: also as PDF, for papers"""
-    picture = png(figure)  # sets the resolution, before other formats are drawn
-    return RenderedFigure(
-        name, picture, alt, caption, svg(figure) if vector else None, pdf(figure) if printed else None
-    )
+    files = {"png": png(figure)}  # sets the resolution, before other formats are drawn
+    files |= {"svg": svg(figure)} if vector else {}
+    files |= {"pdf": pdf(figure)} if printed else {}
+    return RenderedFigure(name, alt, caption, files)
 
 
 def _dark_figure(views: Sequence[Frame], width: float, height: float, *, camera: bool = False) -> Figure:

@@ -335,7 +335,7 @@ def _stored(folder: Path) -> list[UserFigure]:
         except (OSError, ValueError, RunFolderError):
             continue
         if png.startswith(_PNG) and len(png) > 24 and after in SECTIONS:
-            figures.append(UserFigure(name, heading, after, drawing.RenderedFigure(name, png, alt, caption)))
+            figures.append(UserFigure(name, heading, after, drawing.RenderedFigure(name, alt, caption, {"png": png})))
     return figures
 
 

@@ -26,8 +26,7 @@ from mast_zenoh.metrics.measures import COLUMNS, MEASURES, Quantity, metric_name
 from mast_zenoh.report.tables.text_table import DASH
 
 
-@dataclass(frozen=True, slots=True)
-class Value:
+class Value(NamedTuple):
     """Mean and standard deviation over frames, or a run's value; None: unknown."""
 
     mean: float | None = None
@@ -44,8 +43,8 @@ class Value:
 class Cell(NamedTuple):
     """A score of one estimate of one run, and its change over the reference run."""
 
-    value: Value
-    change: Value
+    value: Value = Value()
+    change: Value = Value()
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +58,10 @@ class ScoreRow:
     run: str
     cells: Mapping[str, Cell]
     over_alone: Value
+
+    def cell(self, estimate: str) -> Cell:
+        """The cell of an estimate; empty where there is none."""
+        return self.cells.get(estimate, Cell())
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +80,7 @@ class ScoreTable:
 
     def cell(self, key: str, run: str, estimate: str) -> Cell:
         """The cell of a metric, a run and an estimate; empty where there is none."""
-        for row in self.rows:
-            if (row.measure.label, row.run) == (key, run):
-                return row.cells.get(estimate, Cell(Value(), Value()))
-        return Cell(Value(), Value())
+        return next(row for row in self.rows if (row.measure.label, row.run) == (key, run)).cell(estimate)
 
 
 #: The columns of metrics.parquet of a run.
@@ -116,17 +116,13 @@ def score_table(
         for label, run_scores in scores.items():
             reference_scores = scores[reference] if reference not in (None, label) else {}
             spread = series.get(label, {}), series.get(reference or "", {})
-            cells = {
-                name: Cell(
-                    value, _difference(value, _value(reference_scores, name, measure), spread, (name, name), measure)
-                )
-                for name in run_scores
-                if (value := _value(run_scores, name, measure)) is not None
-            }
-            alone = cells[LOCAL].value if LOCAL in cells else None
-            own_series = series.get(label, {}), series.get(label, {})
-            of_picture = cells[PICTURE].value if PICTURE in cells else Value()
-            over_alone = _difference(of_picture, alone, own_series, (PICTURE, LOCAL), measure)
+            values = {name: Value.of(of_estimate.get(measure.label)) for name, of_estimate in run_scores.items()}
+            cells = {}
+            for name, value in values.items():
+                before = Value.of(reference_scores.get(name, {}).get(measure.label))
+                cells[name] = Cell(value, _difference(value, before, spread, (name, name), measure))
+            alone, of_picture = values.get(LOCAL, Value()), values.get(PICTURE, Value())
+            over_alone = _difference(of_picture, alone, (spread[0], spread[0]), (PICTURE, LOCAL), measure)
             rows.append(ScoreRow(measure, label, cells, over_alone))
     return ScoreTable(tuple(rows), shown_estimates(metrics.values(), agent), tuple(metrics), reference)
 
@@ -154,11 +150,6 @@ def shown_estimates(metrics: Iterable[Mapping[str, Any]], agent: str) -> tuple[s
     return tuple(sorted(sorted(names), key=rank_of))  # those of wires of a user's own last, by name
 
 
-def _value(scores: Mapping[str, Any], estimate: str, measure: Quantity) -> Value | None:
-    """None: the run does not have the estimate."""
-    return Value.of(scores[estimate].get(measure.label)) if estimate in scores else None
-
-
 def _scored(counts: Counts, metrics: Mapping[str, Any], agent: str) -> dict[str, dict[str, NDArray[Any]]]:
     """An agent's rows in scored frames, by estimate, sorted by frame."""
     first, last = metrics.get("scored_frames") or (-np.inf, np.inf)
@@ -173,23 +164,18 @@ def _scored(counts: Counts, metrics: Mapping[str, Any], agent: str) -> dict[str,
 
 def _difference(
     value: Value,
-    other: Value | None,
+    other: Value,
     series: tuple[Mapping[str, Counts], Mapping[str, Counts]],
     estimates: tuple[str, str],
     measure: Quantity,
 ) -> Value:
     """`value` minus `other`, with the deviation over common frames if known."""
-    if other is None or value.mean is None or other.mean is None:
+    if value.mean is None or other.mean is None:
         return Value()
     own_counts, other_counts = (of_run.get(name) for of_run, name in zip(series, estimates, strict=True))
     std = None
-    if (
-        own_counts is not None
-        and other_counts is not None
-        and value.std is not None
-        and measure.label in own_counts
-        and measure.label in other_counts
-    ):
+    both = measure.label in (own_counts or ()) and measure.label in (other_counts or ())
+    if own_counts is not None and other_counts is not None and value.std is not None and both:
         _, here, there = np.intersect1d(own_counts["frame"], other_counts["frame"], return_indices=True)
         differences = own_counts[measure.label][here].astype(np.float64) - other_counts[measure.label][there]
         std = float(np.std(differences)) if len(differences) else None
@@ -240,7 +226,7 @@ def _terminal_table(table: ScoreTable, estimates: Sequence[str], title: str) -> 
 
 
 def _terminal_cell(row: ScoreRow, estimate: str, *, changes: bool) -> str:
-    cell = row.cells.get(estimate, Cell(Value(), Value()))
+    cell = row.cell(estimate)
     text = number(cell.value, row.measure)
     return f"{text} ({signed(cell.change, row.measure)})" if changes and cell.change.mean is not None else text
 
@@ -254,9 +240,8 @@ def as_markdown(table: ScoreTable) -> str:
     for row in table.rows:
         texts = [row.measure.heading, row.run.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")]
         for name in table.estimates:
-            cell = row.cells.get(name, Cell(Value(), Value()))
-            texts.append(number(cell.value, row.measure))
-            texts += [signed(cell.change, row.measure)] if table.reference else []
+            texts.append(number(row.cell(name).value, row.measure))
+            texts += [signed(row.cell(name).change, row.measure)] if table.reference else []
         lines.append("| " + " | ".join([*texts, signed(row.over_alone, row.measure)]) + " |")
     return "\n".join(lines) + "\n"
 
