@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -13,12 +13,12 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize, SymLogNorm
 from matplotlib.figure import SubFigure
-from matplotlib.patches import Polygon
+from matplotlib.patches import Polygon, Rectangle
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 from numpy.typing import ArrayLike
 
 from mast_zenoh.metrics.study_results import Row, Statistic
-from mast_zenoh.report.figures.style import LINE_STYLES, MARKERS, UNKNOWN, Figure, hatch_cell, light_axes, plain
+from mast_zenoh.report.figures.style import LINE_STYLES, MARKERS, Figure, light_axes, plain
 from mast_zenoh.report.tables.text_table import number
 from mast_zenoh.viewer.palette import INK, LOCAL, PALE, RUN_COLOURS
 
@@ -207,8 +207,8 @@ _CELL_SIZE, _TITLE_SIZE, _KEY_SIZE = 12.0, 13.0, 10.5
 _LETTER, _GAP = 0.105, 0.1
 #: Inches of a panel's title, of the scale with its label, below, and of a line of the key, at the bottom.
 _TITLE, _SCALE, _KEY_LINE = 0.32, 0.9, 0.19
-#: Diverging, and safe for colour-blind readers: blue helps, red harms.
-_COLOURS = "RdBu_r"
+#: Diverging, and safe for colour-blind readers: blue helps, red harms; and the colour of a cell without a number.
+_COLOURS, _UNKNOWN = "RdBu_r", "#e0e0e0"
 #: Numbers up to which colours are linear; beyond, they are logarithmic, so that one flood hides nothing.
 _LINEAR = 1.0
 #: Numbers on the scale, at one of which it ends.
@@ -254,7 +254,7 @@ def heat_facet(maps: Sequence[Sequence[HeatMap]], columns: Sequence[str], measur
             high = _CELL_HEIGHT * len(each.lines)
             place = (left + column * pitch) / width, 1.0 - bottom / height, panel_width / width, high / height
             axes = figure.add_axes(place)
-            _panel(axes, each.cells, measure, norm)
+            colour_panel(axes, each.cells, measure, norm)
             pad = 4 + 72.0 * (panel_height - high)  # all titles of a line at one height
             axes.set_title(plain(each.title), fontsize=_TITLE_SIZE, color=INK, loc="left", pad=pad)
             axes.set_yticks(range(len(each.lines)), [plain(name) for name in each.lines] if not column else [])
@@ -302,36 +302,45 @@ def _ticks(norm: Normalize) -> list[float]:
     return [*(-size for size in reversed(sizes)), 0.0, *sizes]
 
 
-def _panel(axes: Axes, cells: Sequence[Sequence[Row | None]], measure: str, norm: Normalize) -> None:
+def shortened(each: Statistic) -> str:
+    """A number with one decimal, or with none if it is large."""
+    return number(each.value, 1 if abs(each.value) < 9.95 else 0)
+
+
+def colour_panel(
+    axes: Axes,
+    cells: Sequence[Sequence[Row | None]],
+    measure: str,
+    norm: Normalize,
+    text: Callable[[Statistic], str] = shortened,
+    size: float = _CELL_SIZE,
+) -> None:
+    """A measure of rows as colours and numbers, in lines from above; None: there is none. size: points, of letters"""
     values = np.array([[math.nan if row is None or row.idle else row[measure].value for row in line] for line in cells])
-    axes.set_facecolor(UNKNOWN)
+    axes.set_facecolor(_UNKNOWN)
     axes.imshow(values, cmap=_COLOURS, norm=norm, aspect="auto")
     for y, line in enumerate(cells):
         for x, row in enumerate(line):
             if row is not None and row[measure].known:
                 dark = abs(float(norm(row[measure].value)) - 0.5) > 0.5 * _DARK and not row.idle
+                colour = "white" if dark else INK
                 if row.idle:
-                    hatch_cell(axes, x, y)
-                _cell(axes, x, y, row, measure, "white" if dark else INK)
+                    cell = Rectangle((x - 0.5, y - 0.5), 1.0, 1.0, fill=False, hatch="///", edgecolor="white", lw=0.0)
+                    axes.add_patch(cell)
+                style: dict[str, Any] = {"fontsize": size, "ha": "center", "va": "center", "color": colour}
+                style["fontstyle"] = "normal" if row[measure].differs else "italic"
+                axes.text(x, y + 0.04, text(row[measure]), **style)
+                _mark(axes, x, y, row, colour)
     axes.set_xticks(np.arange(values.shape[1] + 1) - 0.5, minor=True)
     axes.set_yticks(np.arange(values.shape[0] + 1) - 0.5, minor=True)
     axes.grid(which="minor", color="white", linewidth=0.8)
-    axes.tick_params(which="both", length=0, labelsize=_CELL_SIZE, colors=INK)
+    axes.tick_params(which="both", length=0, labelsize=size, colors=INK)
     for spine in axes.spines.values():
         spine.set_visible(False)
 
 
-def _cell(axes: Axes, x: int, y: int, row: Row, measure: str, colour: str) -> None:
-    """The number of a cell, and its mark in the upper left corner."""
-    value = row[measure].value
-    axes.text(
-        *(x, y + 0.04, number(value, 1 if abs(value) < 9.95 else 0)),
-        ha="center",
-        va="center",
-        fontsize=_CELL_SIZE,
-        fontstyle="normal" if row[measure].differs else "italic",
-        color=colour,
-    )
+def _mark(axes: Axes, x: int, y: int, row: Row, colour: str) -> None:
+    """The mark of a cell in its upper left corner, if an honest agent is suspended."""
     share = row.numbers["honest_suspended"].value if "honest_suspended" in row.numbers else 0.0
     if share > 0.0:
         box = axes.get_window_extent()

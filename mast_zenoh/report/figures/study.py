@@ -8,14 +8,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
 from matplotlib.figure import SubFigure
 
 from mast_zenoh.metrics.study_results import MIN_SEEDS, Row, Statistic, StudyFacts, StudyRow
 from mast_zenoh.report.figures.drawing import RenderedFigure, render
-from mast_zenoh.report.figures.facets import Axis, facet
-from mast_zenoh.report.figures.style import Figure, heat_map, plain
+from mast_zenoh.report.figures.facets import Axis, colour_panel, facet
+from mast_zenoh.report.figures.style import Figure, plain
 from mast_zenoh.report.findings.words import of_study
 from mast_zenoh.report.tables.study_rows import PAPER, StudyColumn, over_trials
 from mast_zenoh.viewer.palette import INK
@@ -283,16 +283,15 @@ def _curves(strip: SubFigure, panel: Panel, columns: Sequence[StudyAxis]) -> Non
 
 def _heat_map(axes: Axes, panel: Panel, column: StudyColumn, scale: float) -> None:
     """Means as colours and numbers, in brackets if the interval contains 0 or is none."""
-    means = np.full((len(panel.curves), len(panel.ticks)), np.nan)
-    texts = [[""] * len(panel.ticks) for _ in panel.curves]
-    for y, curve in enumerate(panel.curves.values()):
-        for row in curve:
-            x, estimate = panel.ticks.index(row.point[panel.x]), column.of(row)
-            means[y, x] = estimate.value
-            if not math.isnan(estimate.value):
-                text = f"{100 * estimate.value:.0f}" if estimate.rate else f"{estimate.value:.3g}"
-                significant = estimate.low > 0.0 or estimate.high < 0.0
-                texts[y][x] = (text if significant else f"({text})").replace("-", "\u2212")
-    heat_map(axes, means, texts, scale, origin="lower")
+    cells, curves = list[list[Row | None]](), [*panel.curves.items()][::-1]
+    for _, curve in curves:
+        rows = {row.point[panel.x]: Row({}, 0, {"": column.of(row)}) for row in curve}
+        cells.append([rows.get(tick) for tick in panel.ticks])
+
+    def text(each: Statistic) -> str:
+        size = f"{100 * each.value:.0f}" if each.rate else f"{each.value:.3g}"
+        return (size if each.low > 0.0 or each.high < 0.0 else f"({size})").replace("-", "\u2212")
+
+    colour_panel(axes, cells, "", Normalize(-scale, scale), text, 9.0)
     axes.set_xticks(range(len(panel.ticks)), [plain(text_of(tick)) for tick in panel.ticks])
-    axes.set_yticks(range(len(panel.curves)), [plain(label.partition(" = ")[2]) for label in panel.curves])
+    axes.set_yticks(range(len(curves)), [plain(label.partition(" = ")[2]) for label, _ in curves])

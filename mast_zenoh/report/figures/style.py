@@ -6,7 +6,6 @@ Figures use only matplotlib's object interface, so no global state changes.
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -16,13 +15,9 @@ from matplotlib import figure as figures
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import Normalize
-from matplotlib.image import AxesImage
-from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 from PIL import Image
 
-from mast_zenoh.arrays.states import Floats
 from mast_zenoh.viewer.palette import GROUNDS, INK, KEYS, PALE, Ground, Key
 
 DPI = 110
@@ -72,30 +67,6 @@ def light_axes(axes: Axes) -> None:
 #: Of curves that one chart shows.
 LINE_STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-#: Of heat maps: diverging, and safe for colour-blind readers.
-_HEAT = "PuOr_r"
-#: Colour of a cell whose value is unknown.
-UNKNOWN = "#e0e0e0"
-
-
-def heat_map(axes: Axes, means: Floats, texts: Sequence[Sequence[str]], scale: float, **how: Any) -> AxesImage:
-    """Means (y, x) as colours up to `scale`, and as texts; NaN: unknown."""
-    axes.set_facecolor(UNKNOWN)
-    image = axes.imshow(means, cmap=_HEAT, norm=Normalize(-scale, scale), aspect="auto", **how)
-    for y, line in enumerate(texts):
-        for x, text in enumerate(line):
-            colour = "white" if abs(means[y, x]) > 0.75 * scale else INK
-            axes.text(x, y, text, ha="center", va="center", fontsize=8.5, color=colour)
-    axes.tick_params(length=0, labelsize=9)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
-    return image
-
-
-def hatch_cell(axes: Axes, x: int, y: int) -> None:
-    """Mark a cell of a heat map that has no colour."""
-    cell = Rectangle((x - 0.5, y - 0.5), 1.0, 1.0, fill=False, hatch="///", edgecolor="white", linewidth=0.0)
-    axes.add_patch(cell)
 
 
 def plain(text: object) -> str:

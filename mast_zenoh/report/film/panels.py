@@ -17,7 +17,7 @@ from mast_zenoh.launch.twin import NAME
 from mast_zenoh.report.figures.birdseye import GRID_M, LOWEST_MARK, BirdseyePanel, points, scale_of
 from mast_zenoh.report.figures.style import Theme, plain
 from mast_zenoh.report.figures.window import Window
-from mast_zenoh.report.film.takes import Attacks, Take
+from mast_zenoh.report.film.takes import Take
 from mast_zenoh.runs.driven import NEEDLESSLY, ROLLS, braking_of, cars_of, course_of, twin_course
 from mast_zenoh.runs.events import spans
 from mast_zenoh.runs.files import Table
@@ -30,9 +30,9 @@ class FilmPanel(BirdseyePanel):
     window: of the first frame; all have one size
     """
 
-    def __init__(self, axes: Axes, take: Take, attacks: Attacks, theme: Theme, window: Window) -> None:
+    def __init__(self, axes: Axes, take: Take, theme: Theme, window: Window) -> None:
         super().__init__(axes, take.run, take.estimate, theme)
-        self._attacks = attacks
+        self._attacks = take.attacks
         axes.tick_params(length=0, labelbottom=False, labelleft=False)
         length = GRID_M / (2 * window.across)
         if length < 0.5:
@@ -131,7 +131,7 @@ class Strip:
     most: the greatest number of objects in a scored frame;  now: the line at the time of the frame
     """
 
-    def __init__(self, axes: Axes, take: Take, attacks: Attacks, limits: tuple[float, float], theme: Theme) -> None:
+    def __init__(self, axes: Axes, take: Take, limits: tuple[float, float], theme: Theme) -> None:
         self.axes, (low, high) = axes, limits
         axes.set_xlim(low, max(high, low + 1e-3))
         axes.set_facecolor(theme.ground)
@@ -141,7 +141,7 @@ class Strip:
         for side, spine in axes.spines.items():
             spine.set_visible(side in ("left", "bottom"))
             spine.set_color(theme.building_edge)
-        self._draw_bands(take, attacks, theme)
+        self._draw_bands(take, theme)
         scores = {frame: score for frame, score in take.scores.items() if low <= take.seconds(frame) <= high}
         axes.yaxis.set_major_locator(MaxNLocator(2, integer=True) if scores else NullLocator())
         times = [take.seconds(frame) for frame in scores]
@@ -154,8 +154,8 @@ class Strip:
         self.most = max((max(score.fn, score.fp) for score in scored), default=1)
         self.now = axes.axvline(low, color=theme.ink, linewidth=1.4, zorder=4)
 
-    def _draw_bands(self, take: Take, attacks: Attacks, theme: Theme) -> None:
-        for start, end in attacks.spans:
+    def _draw_bands(self, take: Take, theme: Theme) -> None:
+        for start, end in take.attacks.spans:
             until = take.seconds(end - 1) + take.run.period_s
             self.axes.axvspan(take.seconds(start), until, color=theme.adversary, alpha=0.28, lw=0)
         for each in spans(take.run, take.times):

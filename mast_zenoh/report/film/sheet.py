@@ -21,7 +21,7 @@ from mast_zenoh.report.figures.style import Figure, plain
 from mast_zenoh.report.figures.window import Window, window_of
 from mast_zenoh.report.film.look import Look
 from mast_zenoh.report.film.panels import FilmPanel, Strip
-from mast_zenoh.report.film.takes import Attacks, Captions, Take
+from mast_zenoh.report.film.takes import Captions, Take
 from mast_zenoh.runs.frame import Frame, ego_position
 
 #: Inches. Left and right of the panels; between them; between a bird's-eye view and a camera view.
@@ -74,7 +74,6 @@ class Sheet:
 
     def __init__(self, takes: Sequence[Take], look: Look, frames: Sequence[int], period: tuple[int, int]) -> None:
         self.takes, self._look, self._theme = takes, look, look.colours
-        self._attacks = [Attacks(take.run) for take in takes]
         self._width, self._height = (pixels / look.dpi for pixels in look.pixels(len(takes)))
         self.figure = MovingFigure(figsize=(self._width, self._height), dpi=look.dpi, facecolor=self._theme.ground)
         shown = [view for frame in frames for view in self._views(frame)]
@@ -93,10 +92,10 @@ class Sheet:
         self._window = self._choose_window(shown, self._panel / view)
         self.birdseye: list[FilmPanel] = []
         self.cameras: list[Axes] = []
-        for left, take, attacks in zip(self._lefts, takes, self._attacks, strict=True):
+        for left, take in zip(self._lefts, takes, strict=True):
             self._write(left, self._top - 0.09, self._shortened(take.title, 11, self._panel), 11, bold=True)
             axes = self.figure.place(left, self._top, self._panel, view)
-            self.birdseye.append(FilmPanel(axes, take, attacks, self._theme, self._window))
+            self.birdseye.append(FilmPanel(axes, take, self._theme, self._window))
             if camera:
                 top = self._top + view + _CAMERA_GAP
                 self.cameras.append(self.figure.place(left, top, self._panel, camera - _CAMERA_GAP))
@@ -129,7 +128,7 @@ class Sheet:
     def _draw_legend(self, shown: Sequence[Frame]) -> float:
         """Create the legend; returns its height in inches."""
         entries = legend_entries(shown, self._theme)
-        if any(attacks.possible for attacks in self._attacks):
+        if any(take.attacks.possible for take in self.takes):
             colour = self._theme.adversary
             entries.append(Patch(facecolor=to_rgba(colour, 0.28), edgecolor=colour, label="attack"))
         return draw_legend(self.figure, entries, self._theme, 9.0 if self._width >= _WIDE else 7.0)
@@ -166,7 +165,7 @@ class Sheet:
         limits = first.seconds(period[0]), first.seconds(period[1])
         self._counts: list[list[Text]] = []
         size = 10 * min(self._panel / _WIDE_COUNTS, 1.0)
-        for left, take, attacks in zip(self._lefts, self.takes, self._attacks, strict=True):
+        for left, take in zip(self._lefts, self.takes, strict=True):
             colours = [self._theme.outcomes[name] for name in ("truth missed", "track false", "track matched")]
             places = zip((0.0, 0.235, 0.45, 0.71), [*colours, self._theme.ink], strict=True)
             self._counts.append(
@@ -174,7 +173,7 @@ class Sheet:
                  for share, colour in places]
             )  # fmt: skip
             axes = self.figure.place(left + _STRIP_LEFT, below + _COUNTS, self._panel - _STRIP_LEFT - 0.08, _STRIP)
-            self._strips.append(Strip(axes, take, attacks, limits, self._theme))
+            self._strips.append(Strip(axes, take, limits, self._theme))
         for strip in self._strips:  # panels are compared
             strip.set_most(max(each.most for each in self._strips))
         self._caption = self._write(_MARGIN, below + _COUNTS + _STRIP + _LABELS + 0.2, "", 11.5, bold=True)
@@ -201,12 +200,12 @@ class Sheet:
         """Move the strips, and change the text, to a frame of the first take."""
         seconds, theme = self.takes[0].seconds(frame), self._theme
         self._time.set_text(f"t = {seconds:.1f} s   frame {frame}")
-        on = [attacks.on(view.index) for attacks, view in zip(self._attacks, views, strict=True)]
+        on = [take.attacks.on(view.index) for take, view in zip(self.takes, views, strict=True)]
         caption = self._shortened(self._captions.at(frame), 11.5, self._width - 2 * _MARGIN)
         self._caption.set(text=plain(caption), color=theme.adversary if any(on) else theme.ink)
         room = self._panel if len(self._states) > 1 else self._width - 2 * _MARGIN
-        for state, attacks, view, attacked in zip(self._states, self._attacks, views, on, strict=False):
-            state.set_text(plain(self._shortened(attacks.sentence(view.index), 10, room)))
+        for state, take, view, attacked in zip(self._states, self.takes, views, on, strict=False):
+            state.set_text(plain(self._shortened(take.attacks.sentence(view.index), 10, room)))
             state.set_color(theme.adversary if attacked else theme.faint)
         for strip, texts, take, view in zip(self._strips, self._counts, self.takes, views, strict=True):
             strip.now.set_xdata([min(seconds, take.seconds(take.last))] * 2)

@@ -92,6 +92,11 @@ class Take:
         return frame_at(run, frame, [self.estimate])
 
     @cached_property
+    def attacks(self) -> Attacks:
+        """The attacks of the run."""
+        return Attacks(self.run)
+
+    @cached_property
     def scores(self) -> dict[int, Score]:
         """By frame."""
         counts = self.run.counts_of(self.estimate) or self.run.counts_of(self.run.original(self.estimate))
