@@ -54,53 +54,38 @@ def panels(rows: Sequence[StudyRow], baseline: str) -> list[Panel]:
     curve for each value of the second, or a heat map; one that sweeps more, a panel for each choice of the others. Of
     several parameters the numeric one with most values goes along x. Runs without a sweep share a separate panel.
     """
-    runs: dict[str, list[StudyRow]] = {}
+    by_run: dict[str, list[StudyRow]] = {}
     for row in rows:
         if row.label != baseline:
-            runs.setdefault(row.run, []).append(row)
-    by_swept: dict[str, list[list[StudyRow]]] = {}
-    several_swept: list[Panel] = []
-    for run_rows in runs.values():
+            by_run.setdefault(row.run, []).append(row)
+    by_panel: dict[tuple[str, str, str], list[StudyRow]] = {}  # by title, x, and the parameter by which curves differ
+    for run, run_rows in by_run.items():
         swept = _swept(run_rows)
-        if len(swept) < 2:
-            by_swept.setdefault("".join(swept), []).append(run_rows)
-        else:
-            several_swept += _of_several(run_rows, swept)
-    return [_of_one(x, runs_of_sweep) for x, runs_of_sweep in by_swept.items()] + several_swept
+        x = max(swept, key=lambda name: (_ticks(run_rows, name)[1], len(_ticks(run_rows, name)[0])), default="")
+        second, *others = [name for name in swept if name != x] or [""]
+        for row in run_rows:
+            choice = [f"{label_of(name)} = {text_of(row.point[name])}" for name in others]
+            title = ", ".join([run, *choice]) if second else ""
+            by_panel.setdefault((title, x, second), []).append(row)
+    several_last = sorted(by_panel.items(), key=lambda item: bool(item[0][2]))
+    return [_panel(*of, panel_rows) for of, panel_rows in several_last]
 
 
-def _of_one(x: str, runs: Sequence[Sequence[StudyRow]]) -> Panel:
-    """Runs that sweep the same parameter, or none."""
-    rows = [row for run in runs for row in run]
+def _panel(title: str, x: str, second: str, rows: Sequence[StudyRow]) -> Panel:
+    """A panel of curves by the values of a second parameter, or by run."""
     if not x:
         return Panel("", "", "", tuple(row.label for row in rows), False, {"": rows})
     ticks, numeric = _ticks(rows, x)
-    curves = {run[0].run: _sorted(run, x, ticks) for run in runs}
-    return Panel("" if len(curves) > 1 else rows[0].run, x, "", ticks, numeric, curves)
-
-
-def _of_several(rows: Sequence[StudyRow], swept: Sequence[str]) -> list[Panel]:
-    """One run that sweeps two parameters or more."""
-    sizes = {name: len(_ticks(rows, name)[0]) for name in swept}
-    x = max(swept, key=lambda name: (_ticks(rows, name)[1], sizes[name]))
-    second, *others = (name for name in swept if name != x)
-    result = []
-    for choice in dict.fromkeys(_choice(row, others) for row in rows):
-        panel_rows = [row for row in rows if _choice(row, others) == choice]
-        ticks, numeric = _ticks(panel_rows, x)
-        values, numbers = _ticks(panel_rows, second)
-        curves = {
-            f"{label_of(second)} = {text_of(value)}": _sorted(
-                [row for row in panel_rows if row.point[second] == value], x, ticks
-            )
-            for value in values
-        }
-        heat = numeric and numbers and min(len(ticks), len(values)) >= MIN_FOR_HEAT_MAP
-        title = ", ".join(
-            [rows[0].run, *(f"{label_of(name)} = {value}" for name, value in zip(others, choice, strict=True))]
-        )
-        result.append(Panel(title, x, second if heat else "", ticks, numeric, curves))
-    return result
+    values, numbers = _ticks(rows, second) if second else ((), False)
+    curves: dict[str, list[StudyRow]] = {}
+    for row in sorted(rows, key=lambda row: values.index(row.point[second]) if second else 0):
+        label = f"{label_of(second)} = {text_of(row.point[second])}" if second else row.run
+        curves.setdefault(label, []).append(row)
+    for curve in curves.values():
+        curve.sort(key=lambda row: ticks.index(row.point[x]))
+    heat = numeric and numbers and min(len(ticks), len(values)) >= MIN_FOR_HEAT_MAP
+    alone = rows[0].run if len(curves) == 1 else ""
+    return Panel(title or alone, x, second if heat else "", ticks, numeric, curves)
 
 
 def _swept(rows: Iterable[StudyRow]) -> list[str]:
@@ -118,14 +103,6 @@ def _ticks(rows: Iterable[StudyRow], name: str) -> tuple[tuple[object, ...], boo
     if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values):
         return tuple(sorted(set(values), key=float)), True  # type: ignore[arg-type]
     return tuple({repr(value): value for value in values}.values()), False
-
-
-def _sorted(rows: Iterable[StudyRow], x: str, ticks: Sequence[object]) -> list[StudyRow]:
-    return sorted(rows, key=lambda row: ticks.index(row.point[x]))
-
-
-def _choice(row: StudyRow, names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(text_of(row.point[name]) for name in names)
 
 
 def label_of(parameter: str) -> str:
