@@ -65,7 +65,8 @@ def main() -> None:
     for number, (one, other) in enumerate(zip(ones, others, strict=False)):
         if different := difference(one, other):
             sys.exit(f"process {number}:\n{different}")
-        print(f"process {number}: {len(one.steps)} steps are equal")
+        cut = "" if one.whole and other.whole else "; a log ends within a record"
+        print(f"process {number}: {len(one.steps)} steps are equal{cut}")
     if len(ones) != len(others):
         sys.exit(f"found logs of {len(ones)} and {len(others)} processes")
 

@@ -20,21 +20,20 @@ from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import nearest
+from mast_zenoh.evaluation.estimate_wires import estimates_on
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.launch.notices import Notice, notice
 from mast_zenoh.metrics import Metric
 from mast_zenoh.metrics.estimates import LOCAL
 from mast_zenoh.metrics.measures import label_of
-from mast_zenoh.scenario.timeline import DIRECTED, attack_starts
+from mast_zenoh.scenario.timeline import DIRECTED, UNDER_WAY_S, attack_starts
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
-from mast_zenoh.wiring.model import Wiring
+from mast_zenoh.wiring.model import Wiring, agent_of, link_of
 
 #: An attack that changes nothing on purpose.
 _INERT_ATTACK = "PassThrough"
 #: What adversaries publish besides the messages that they forward.
 _OWN_MESSAGES = ("attack_report", "observation")
-#: s before a fault; messages of that time may still be on their way when it begins.
-_UNDER_WAY_S = 1.0
 
 
 def idle_parts(
@@ -54,7 +53,7 @@ def idle_parts(
     sentences: list[str] = []
     if frames and not replayed:
         sentences += [*resolved.idle, *_adversaries(run), *_coordinators(run), *_defences(run)]
-        sentences += [*_vetoes(run), *_links(run), *_faults(run), *_sensors(run), *_agents(run)]
+        sentences += [*_vetoes(run), *_links(run), *_faults(run), *_estimates(run), *_sensors(run), *_agents(run)]
     if frames or replayed:
         sentences += _metrics(run)
     return (notice("idle", text) for text in dict.fromkeys(sentences))
@@ -230,11 +229,20 @@ def _faults(run: _EndedRun) -> Iterator[str]:
         if (band["kind"], band["backend"]) != ("fault", "links") or band["at_s"] > run.duration_s:
             continue
         until_s = np.inf if band["until_s"] is None else band["until_s"]
-        nodes = {name for name, spec in run.of_role("link").items() if spec.config.get("agent") in band["nodes"]}
+        nodes = {link_of(place) for place in band["nodes"]} & run.of_role("link").keys()
         times_s = [frame * run.resolved.period_ns * 1e-9 for node in nodes for frame in frames.get(node, ())]
-        if nodes and not any(band["at_s"] - _UNDER_WAY_S <= time_s <= until_s for time_s in times_s):
+        if nodes and not any(band["at_s"] - UNDER_WAY_S <= time_s <= until_s for time_s in times_s):
             end = "" if band["until_s"] is None else f" to {band['until_s']:g}"
             yield f"fault {band['label']} changed no message from {band['at_s']:g}{end} s"
+
+
+def _estimates(run: _EndedRun) -> Iterator[str]:
+    """Estimates on wires that are no agent's, and are not scored."""
+    scored = {each.wire.key for each in estimates_on(run.wiring, run.of_role("agent"))}
+    for wire in run.wiring.wires:
+        name, subject = wire.traits.estimate, agent_of(wire.subject)
+        if name and wire.key not in scored and subject not in run.of_role("center"):
+            yield f"the estimate {name!r} on {wire.key} is not scored: {subject} is no agent"
 
 
 def _sensors(run: _EndedRun) -> Iterator[str]:

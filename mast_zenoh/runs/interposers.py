@@ -25,6 +25,7 @@ class Interposer:
     """A node on wires.
 
     wires:    keys;  agents: owners of these wires;  before: subscribers whose copy of a message alone passes through it
+    partly:   those of its wires of which other subscribers receive messages that do not pass through it
     live:     first frame on its wire, if inserted during the run
     released: first frame after its removal, if removed during the run
     effects:  measured number of objects or messages by effect; None: not measured
@@ -45,6 +46,7 @@ class Interposer:
     wires: tuple[str, ...]
     agents: tuple[str, ...] = ()
     before: tuple[str, ...] = ()
+    partly: tuple[str, ...] = ()
     live: int | None = None
     released: int | None = None
     effects: Mapping[str, int] | None = None
@@ -96,8 +98,9 @@ class Interposer:
     @property
     def place(self) -> str:
         """Its wires, and the subscribers that it serves, if not all."""
-        before = f" only before {', '.join(self.before)}" if self.before else ""
-        return ", ".join(self.wires) + before
+        whole = ", ".join(each for each in self.wires if each not in self.partly)
+        partly = f"{', '.join(self.partly)} only before {', '.join(self.before)}" if self.before else ""
+        return "; ".join(filter(None, (whole, partly)))
 
     @property
     def description(self) -> str:
@@ -112,12 +115,14 @@ def interposers(run: Run) -> tuple[Interposer, ...]:
     """Every interposer of a run, including live ones: adversaries first, then links."""
     wires: dict[str, dict[str, None]] = {}
     before: dict[str, dict[str, None]] = {}
+    partly: dict[str, dict[str, None]] = {}
     for wire in run.files.wiring.get("wires", []):
         for node in wire.get("interposers", ()):
             wires.setdefault(node, {})[wire["key"]] = None
         for leg in wire.get("legs", ()):
             if leg.get("before", wire.get("subject")) != wire.get("subject"):  # nobody else needs an agent's own wire
                 before.setdefault(leg["from"], {})[leg["before"]] = None
+                partly.setdefault(leg["from"], {})[wire["key"]] = None
     measured = run.files.summary.get("interposers", {})
     for node, summary in measured.items():
         wires.setdefault(node, {}).update(dict.fromkeys(summary.get("wires", ())))
@@ -128,6 +133,7 @@ def interposers(run: Run) -> tuple[Interposer, ...]:
         wires.setdefault(node, {}).update(dict.fromkeys(event.get("wires", ())))
         if event.get("before"):
             before.setdefault(node, {})[event["before"]] = None
+            partly.setdefault(node, {}).update(dict.fromkeys(event.get("wires", ())))
         (live if event["action"] == "intercept" else released)[node] = event["frame"]
     result = []
     for node, keys in wires.items():
@@ -141,6 +147,7 @@ def interposers(run: Run) -> tuple[Interposer, ...]:
                 wires=tuple(keys),
                 agents=tuple(agents),
                 before=tuple(before.get(node, ())),
+                partly=tuple(partly.get(node, ())),
                 live=live.get(node),
                 released=released.get(node),
                 effects=summary.get("effects"),

@@ -56,10 +56,11 @@ class Step(msgspec.Struct, frozen=True, tag=True, array_like=True):
 
 
 class ProcessLog(NamedTuple):
-    """The log of one process."""
+    """The log of one process; whole: whether it ends with a record, not within one"""
 
     beginning: Beginning
     steps: list[Step]
+    whole: bool = True
 
 
 _encode = msgspec.msgpack.Encoder(enc_hook=Wiring.to_json).encode
@@ -180,6 +181,7 @@ def read(content: bytes) -> list[ProcessLog]:
         begin, end = at + 4, at + 4 + int.from_bytes(content[at : at + 4], "little")
         at = end
         if end > len(content):
+            logs[-1:] = [each._replace(whole=False) for each in logs[-1:]]
             break
         try:
             record = _decode(content[begin:end])
@@ -189,6 +191,10 @@ def read(content: bytes) -> list[ProcessLog]:
             logs.append(ProcessLog(record, []))
         elif logs:
             logs[-1].steps.append(record)
+        else:
+            raise MessageError("protocol log: its first record is a step, expected the beginning of a process")
+    if not logs:
+        raise MessageError(f"protocol log: found no process in {len(content)} bytes")
     return logs
 
 

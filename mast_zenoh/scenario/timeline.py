@@ -20,7 +20,7 @@ from mast_zenoh.faults.plan import Carriers, band
 from mast_zenoh.scenario.nodes import node_spec
 from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.wiring.model import Wire, Wiring, agent_of, part_of, peer_of
+from mast_zenoh.wiring.model import Wire, Wiring, agent_of, link_of, part_of, peer_of
 
 #: The attack that acts only as a coordinator says.
 DIRECTED = "CoordinatedAttack"
@@ -30,6 +30,9 @@ _PLAIN = "Coordinator"
 REWRITE = "network.toml"
 #: Those that put it elsewhere, by a role that the scenario has.
 REWRITES = {"peer": "network_peers.toml", "center": "network_centers.toml"}
+
+#: s before a fault; messages of that time may still be on their way when it begins.
+UNDER_WAY_S = 1.0
 
 _log = logging.getLogger("mast.scenario")
 
@@ -73,13 +76,13 @@ def timeline_of(
 
     def link(of: str, rules: Mapping[str, Any]) -> tuple[str, NodeSpec]:
         """Name and spec of the link of an agent, or of a wire."""
-        name = f"link_{of.replace('/', '_')}"
+        name = link_of(of)
         if name in nodes:
             raise ConfigurationError(
                 f"{path}: {name}: another node already has this name, and the link of {of!r} needs it"
             )
         agent = of if of in roles else ""
-        peer = {"peer": peer_of(agent)} if "peer" in roles.values() else {}
+        peer = {"peer": peer_of(agent)} if agent and "peer" in roles.values() else {}
         return name, node_spec(path, name, "link", {"agent": agent, **rules, **peer})
 
     @cache
@@ -169,12 +172,12 @@ def _carriers(wire: Wire, agents: Sequence[str]) -> list[tuple[str, str]]:
     agent = agent_of(wire.subject)
     if wire.message == "detections" and agent in agents:
         return [(agent, "/".join(filter(None, (SENSOR, part_of(wire.subject)))))]
-    links = {f"link_{agent}": agent for agent in agents}
+    links = {link_of(name): name for name in agents}
     before = {leg.publisher.node: branch.subscriber.node for branch in wire.branches for leg in branch.legs}
     ends = [
-        (links[node], "down" if before.get(node) in (links[node], peer_of(links[node])) else "up")
-        for node in wire.interposers
-        if node in links
+        (of, "down" if before.get(node) in (of, peer_of(of)) else "up")
+        for node, of in ((node, links[node]) for node in wire.interposers if node in links)
+        if node in before or agent in ("", of)  # a map may put links before what another node says
     ]
     return [end for end in ends if end[1] == "up"] or ends or [(wire.key, "up")]
 

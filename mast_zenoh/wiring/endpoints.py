@@ -58,7 +58,7 @@ def members(
 
     A node belongs to a subject if it is the subject, or if its option with the placeholder's name names it (an option
     may name several subjects). If no node of the role has that option, all of them belong to every subject. `other
-    role` means the nodes of the role that do not belong to it.
+    role` means the nodes of the role that do not belong to it. The link of a single wire belongs to none.
 
     node: keep only the node of this name
 
@@ -68,7 +68,7 @@ def members(
         role = role.removeprefix(OTHER)
         own = members(role, nodes, place, placeholder=placeholder, subject=subject)
         every = members(role, nodes, place, node=node)
-        return {name: other for name, other in every.items() if name not in own}
+        return {name: other for name, other in every.items() if name not in own and other.options.get("agent") != ""}
     subject = agent_of(subject)
     roles = {*ROLES, *(other.role for other in nodes.values())}
     if role not in roles:
@@ -80,6 +80,8 @@ def members(
         of_role = {subject: of_role[subject]}
     elif placeholder and any(placeholder in other.options for other in of_role.values()):
         of_role = {name: other for name, other in of_role.items() if subject in other.names(placeholder)}
+    elif placeholder:
+        of_role = {name: other for name, other in of_role.items() if other.options.get("agent") != ""}
     return {name: other for name, other in of_role.items() if node in (None, name)}
 
 

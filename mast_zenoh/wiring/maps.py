@@ -166,7 +166,7 @@ def resolve(
             wires[wire.key], places[wire.key] = wire, place
             templates[entry["key"]].append(wire.key)
     for place, entry in _entries(sources, "insert"):
-        if entry.get("optional") and entry["wire"] not in templates:
+        if entry.get("optional") and not _refers(entry["wire"], templates):
             continue
         template = _template_of(entry["wire"], templates, place)
         keys = templates[template] if entry["wire"] == template else [entry["wire"]]
@@ -180,7 +180,7 @@ def resolve(
         for key in keys:
             wires[key] = insert(wires[key], entry, _placeholder(template), nodes, place)
     for place, entry in _entries(sources, "listen"):
-        if entry.get("optional") and entry["wire"] not in templates:
+        if entry.get("optional") and not _refers(entry["wire"], templates, every=True):
             continue
         template = _template_of(entry["wire"], templates, place, every=True)
         keys = [entry["wire"]] if entry["wire"] in wires else templates[template]
@@ -328,11 +328,22 @@ def _template_of(wire: object, templates: Mapping[str, list[str]], place: str, *
 
     wire: the template, one of its keys or, if `every`, the template with `*`
     """
-    for template, keys in templates.items():
-        if wire in (template, *keys) or (every and wire == _PLACEHOLDER.sub("*", template)):
-            return template
+    if template := _refers(wire, templates, every=every):
+        return template
     known = {*templates, *(key for keys in templates.values() for key in keys)}
     raise WiringError(f"{place}: no wire {wire!r}{nearest(str(wire), known)}")
+
+
+def _refers(wire: object, templates: Mapping[str, list[str]], *, every: bool = False) -> str:
+    """The template, as in `_template_of`; empty: there is none."""
+    return next(
+        (
+            template
+            for template, keys in templates.items()
+            if wire in (template, *keys) or (every and wire == _PLACEHOLDER.sub("*", template))
+        ),
+        "",
+    )
 
 
 def _listen(wire: Wire, entry: Mapping[str, Any], nodes: Mapping[str, NodeOptions], place: str) -> Wire:

@@ -481,3 +481,8 @@ def wire_key(key: str) -> str:
 def peer_of(agent: str) -> str:
     """The name of an agent's peer."""
     return f"peer_{agent}"
+
+
+def link_of(place: str) -> str:
+    """The name of the link of an agent, or of a wire that has one of its own. place: the agent, or the wire's key"""
+    return f"link_{place.replace('/', '_')}"

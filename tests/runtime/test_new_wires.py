@@ -120,8 +120,10 @@ class Price(MessageMetric):
         return body["price"][0] if subject == "north" else None
 
 
-def scenario():
+def scenario(fault=""):
     _, content = scenarios.load("baseline", ["n_infrastructure=1", "n_mobile=0"])
+    if fault:
+        content["faults"] = [dict(type="Partition", on=fault, at=0.5, until=1.0)]
     shops = {name: dict(role="shop", file="offers.py", type="Shop") for name in ("north", "south")}
     return content | dict(
         name="offers",
@@ -228,6 +230,39 @@ def test_a_link_on_a_wire_whose_port_it_uses_itself_forwards_the_messages() -> N
     run = played("lossless.py")
     assert run.summary["agents"]["infra_1"]["local"]["tp"]["mean"] > 5.0
     assert not run.attacks.num_rows
+
+
+OF_OTHERS = """
+from mast_zenoh import scenario as scenarios
+
+
+def scenario():
+    _, content = scenarios.load("peers", ["n_infrastructure=2", "n_mobile=0"])
+    faults = [dict(type="Loss", on="scene/truth", probability=0.0, at=1.0)]
+    faults += [dict(type="Partition", on="agent/infra_1/status", at=1.0)]
+    lossy = dict(up=[dict(type="Loss", probability=0.7)])
+    return content | dict(name="of_others", faults=faults, links={"infra_2": lossy})
+"""
+
+
+def test_errors_are_due_to_the_link_that_acted_not_to_faults_on_wires_that_nothing_depends_on() -> None:
+    (folder() / "of_others.py").write_text(OF_OTHERS)
+    run = played("of_others.py")
+    causes = {cause for each in run.findings if each.kind == "change" for cause in each.cause}
+    assert causes == {"link_infra_2"}
+    assert [each.who for each in limits(run) if each.cause == ("no estimate",)] == [("link_agent_infra_1_status",)]
+    idle = [each["text"] for each in run.record["notices"] if each["kind"] == "idle"]
+    assert idle == ["fault Loss scene/truth changed no message from 1 s"]
+
+
+def test_a_fault_of_a_wire_that_is_no_agents_acts_on_it_alone_though_a_map_puts_links_there() -> None:
+    run = played("offers.py", fault="shop/north/offer")
+    assert not {name for name, node in run.record["nodes"].items() if name in ("link_ego", "link_infra_1")}
+    rows = [row for row in run.attacks.to_pylist() if row["interposer"].startswith("link_")]
+    assert {(row["interposer"], row["wire"], row["effect"]) for row in rows} == {
+        ("link_shop_north_offer", "shop/north/offer", "dropped")
+    }
+    assert all(0.5 <= row["frame"] * 0.1 < 1.0 for row in rows)
 
 
 EVERY_WIRE = """

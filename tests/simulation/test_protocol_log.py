@@ -83,8 +83,14 @@ def test_a_file_that_ends_within_a_record_is_a_log_up_to_there(monkeypatch: pyte
     whole = read(written[0] + written[1])
     assert [len(process.steps) for process in whole] == [1]
     assert [len(process.steps) for process in read((written[0] + written[1])[:-1])] == [0]
+    assert [process.whole for process in whole + read((written[0] + written[1])[:-1])] == [True, False]
     with pytest.raises(MessageError, match=r"protocol log: byte 4: found no record"):
         read(b"\x01\x00\x00\x00?")
+    for empty in (b"", b"\xdd" * 100, written[0][:50]):
+        with pytest.raises(MessageError, match=f"protocol log: found no process in {len(empty)} bytes"):
+            read(empty)
+    with pytest.raises(MessageError, match="its first record is a step"):
+        read(written[1])
 
 
 def test_a_log_ends_when_it_is_full(monkeypatch: pytest.MonkeyPatch) -> None:

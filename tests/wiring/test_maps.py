@@ -43,6 +43,10 @@ def resolve(nodes: dict[str, NodeOptions], *sources: dict) -> Wiring:
     return maps.resolve([(f"file_{i}.toml", source) for i, source in enumerate((MAP, *sources))], nodes)
 
 
+def interposers(wiring: Wiring) -> tuple[str, ...]:
+    return tuple(name for wire in wiring.wires for name in wire.interposers)
+
+
 def test_a_placeholder_creates_one_wire_per_node_of_its_role() -> None:
     wiring = resolve({"simulator": SIMULATOR, "ego": AGENT, "infra_1": AGENT, "broker": BROKER})
     assert wiring.keys() == (
@@ -54,6 +58,21 @@ def test_a_placeholder_creates_one_wire_per_node_of_its_role() -> None:
     assert wiring.ports("infra_1").inputs["agent/infra_1/detections"].source == "simulator"
     assert wiring.ports("simulator").outputs["detections", "ego"] == "agent/ego/detections"
     assert set(wiring.ports("broker").inputs) == {"agent/ego/tracks", "agent/infra_1/tracks"}
+
+
+def test_an_optional_insert_can_name_the_wire_of_one_agent() -> None:
+    nodes = {"simulator": SIMULATOR, "ego": AGENT, "broker": BROKER, "liar": interposer(agent="ego")}
+    entry = insertion()["insert"][0] | {"wire": "agent/ego/detections", "optional": True}
+    assert interposers(resolve(nodes, {"insert": [entry]})) == ("liar",)
+    absent = resolve(nodes, insertion(), {"insert": [entry | {"wire": "agent/truck/detections"}]})
+    assert absent == resolve(nodes, insertion())
+
+
+@pytest.mark.parametrize("role", ["link", "other link"])
+def test_a_map_inserts_no_link_that_is_of_a_single_wire(role: str) -> None:
+    link = node("link", inputs="seen:detections", outputs="said:detections", agent="")
+    nodes = {"simulator": SIMULATOR, "ego": AGENT, "broker": BROKER, "link_agent_ego_tracks": link}
+    assert interposers(resolve(nodes, insertion(role))) == ()
 
 
 def broadcasts(to: str) -> dict:

@@ -119,7 +119,7 @@ def period(run: Run, first: int, last: int) -> tuple[float, float]:
 
 
 def limits(run: Run, reference: Reference | None = None) -> list[Finding]:
-    """Reasons for limited effects of adversaries on the picture or the ego.
+    """Reasons for limited effects of adversaries on the picture or the ego, and for links on which nothing depends.
 
     `what` is the kind of manipulation, unless the reason applies to everything that the adversary did; the reason is
     `cause`. What causes the largest change, which the headline names, has none.
@@ -128,9 +128,10 @@ def limits(run: Run, reference: Reference | None = None) -> list[Finding]:
     over = of_errors(run, reference)
     change = largest_change(run, over)
     blamed = culprit_names(run, change, over) if change is not None else []
+    idle = [each for each in interposers(run) if each.is_link and each.changed and not matters(run, each.name)]
     return [
         reason
-        for each in hostile(run)
+        for each in (*hostile(run), *idle)
         for reason in _reasons(run, each, change.kind if change is not None and each.name in blamed else "")
     ]
 

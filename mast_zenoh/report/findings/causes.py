@@ -6,6 +6,9 @@ adversary's changes can reach the estimate. A decrease has no cause.
 
 from __future__ import annotations
 
+import numpy as np
+
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.estimates import RECEIVED
 from mast_zenoh.report.comparison import Reference
 from mast_zenoh.report.findings.changes import DISPLACED, MIN_CULPRIT_SHARE, Change, witnesses_of_withheld
@@ -13,6 +16,8 @@ from mast_zenoh.report.findings.differences import attacking_nodes, other_differ
 from mast_zenoh.report.tables.wiring import all_wires
 from mast_zenoh.runs.interposers import hostile, interposers
 from mast_zenoh.runs.run import Run
+from mast_zenoh.scenario.timeline import UNDER_WAY_S
+from mast_zenoh.wiring.model import link_of
 
 #: More adversaries, links or faults than these are counted, not named.
 _MOST_NAMED = 3
@@ -61,7 +66,7 @@ def causes(run: Run, change: Change, over: Reference | None = None) -> tuple[str
         named = [f"{len(named)} adversaries"]
     own_displacement = over is None and change.kind == DISPLACED and not named
     if change.due_to("fault") or own_displacement:
-        named += _faults(run, any_effect=own_displacement and not change.due_to("fault"))
+        named += _faults(run, change, any_effect=own_displacement and not change.due_to("fault"))
     if change.due_to("withheld"):
         number = witnesses_of_withheld(run, change.estimate) if change.agent == run.ego else None
         by = "" if number is None else f" that on average {number:.1f} agents that were not suspended reported"
@@ -93,12 +98,39 @@ def culprit_names(run: Run, change: Change, over: Reference | None = None) -> li
     return [name for name in candidates if name in added and reaches(run, name, change.estimate, change.agent)]
 
 
-def _faults(run: Run, *, any_effect: bool) -> list[str]:
-    """Links and faults in words; any_effect: only if links had a measured effect."""
-    acting = [each.name for each in interposers(run) if each.is_link and each.changed]
-    planned = [str(each["label"]) for each in run.timeline if each["kind"] != "attack"]
-    lost = dict.fromkeys(event["node"] for event in run.files.record.get("churn") or ())
-    named = [*planned, *(f"the loss of {node}" for node in lost)] or acting
-    if any_effect and not acting:
+def _faults(run: Run, change: Change, *, any_effect: bool) -> list[str]:
+    """Links and faults in words, of links those whose measured effects can reach the estimate.
+
+    A fault on links is named if one of them changed a message while it lasted, and a link if it did so at other times.
+    any_effect: only if links had a measured effect
+    """
+    linking = [each.name for each in interposers(run) if each.is_link and each.changed]
+    acted = {name: _acted_s(run, name) for name in linking if reaches(run, name, change.estimate, change.agent)}
+    if any_effect and not acted:
         return []
+    named, alone = [], {name: np.ones(len(times_s), np.bool_) for name, times_s in acted.items()}
+    for each in run.timeline:
+        if each["kind"] == "attack":
+            continue
+        until_s = np.inf if each.get("until_s") is None else each["until_s"]
+        during = {
+            name: (each["at_s"] - UNDER_WAY_S <= times_s) & (times_s <= until_s)
+            for name, times_s in acted.items()
+            if name in map(link_of, each.get("nodes") or ())
+        }
+        if each.get("backend") != "links" or any(rows.any() for rows in during.values()):
+            named.append(str(each["label"]))
+        for name, rows in during.items():
+            alone[name] &= ~rows
+    lost = dict.fromkeys(event["node"] for event in run.files.record.get("churn") or ())
+    named += [f"the loss of {node}" for node in lost] + [name for name, rows in alone.items() if rows.any()]
     return named if 0 < len(named) <= _MOST_NAMED else ["links and faults"]
+
+
+def _acted_s(run: Run, link: str) -> Floats:
+    """The times, s, of the frames whose messages a link changed; as far as they are known."""
+    table = run.files.effects
+    if table is None:
+        return np.zeros(0)
+    of_link = (table["interposer"] == link) & (table["effect"] != "unsettled") & (table["frame"] >= 0)
+    return run.times(np.unique(table["frame"][of_link]))

@@ -105,8 +105,9 @@ def _used(run: Run, change: Change, over: Reference | None) -> list[Finding]:
 def _unchanged(run: Run, over: Reference | None, *, compared: bool) -> list[Finding]:
     """What is known if no score differs; compared: with another run, in which driven cars may go another way."""
     changed = [each for each in interposers(run) if each.changed]
-    active = tuple(each.name for each in changed if (not each.is_link if over else matters(run, each.name)))
-    result = []
+    adversaries = tuple(each.name for each in changed if not each.is_link and (over or matters(run, each.name)))
+    links = tuple(each.name for each in changed if each.is_link and not over and matters(run, each.name))
+    active, result = adversaries or links, []
     if over is not None:
         estimates = [each.files.summary.get("agents", {}).get(run.ego or "", {}) for each in (run, over.run)]
         same = "scores" if estimates[0].keys() == estimates[1].keys() else "shared scores"
@@ -117,7 +118,7 @@ def _unchanged(run: Run, over: Reference | None, *, compared: bool) -> list[Find
         result.append(Finding("unchanged", active, what, cause=own, than=over.name))
         result += braking(run) if what == "driving" else []
     elif active:
-        result.append(Finding("unattributed", active, "way alone" if compared else "alone"))
+        result.append(Finding("unattributed", active, "way alone" if compared or not adversaries else "alone"))
     return result if active else [*result, *missed(run)]
 
 
