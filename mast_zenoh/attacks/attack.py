@@ -89,8 +89,8 @@ class Attack(Attacker):
         return body
 
 
-class PassThrough(Attack):
-    """Relays every message unchanged."""
+class ObjectsUnchanged:
+    """For attacks on something else: leaves the objects of each message as they are."""
 
     def step(
         self,
@@ -101,6 +101,10 @@ class PassThrough(Attack):
         directive: Targets | None = None,
     ) -> Tampering:
         return Tampering.nothing(len(objects))
+
+
+class PassThrough(ObjectsUnchanged, Attack):
+    """Relays every message unchanged."""
 
 
 def alter(

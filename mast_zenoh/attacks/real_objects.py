@@ -14,12 +14,11 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate, propagate
 from mast_zenoh.attacks.adaptive import AdaptiveAttack, Budget, Lies, Moment
-from mast_zenoh.attacks.attack import OWN_TARGET_M, Attack
+from mast_zenoh.attacks.attack import OWN_TARGET_M, Attack, ObjectsUnchanged
 from mast_zenoh.attacks.campaign import NANOSECONDS
 from mast_zenoh.attacks.following import Follower
 from mast_zenoh.attacks.knowledge import Trust, TrustWatch
 from mast_zenoh.attacks.surroundings import AgentSensor, Surroundings, boxes_of
-from mast_zenoh.attacks.targets import Tampering, Targets
 from mast_zenoh.streams import stream
 
 #: s after which an object that is no longer seen is given up.
@@ -409,7 +408,7 @@ def _same_ids(old: ObjectStates, now: ObjectStates) -> tuple[Ints, Ints]:
 
 
 @dataclass(kw_only=True, eq=False)
-class PoseDrift(Attack):
+class PoseDrift(ObjectsUnchanged, Attack):
     """Moves the pose that an agent believes by an offset that grows slowly; on the wire `pose`.
 
     The agent then misplaces all its objects by as much. Source: spoofing of a vehicle's positioning, Shen et al.
@@ -436,16 +435,6 @@ class PoseDrift(Attack):
     def bind(self, seed: int, name: str) -> None:
         angle = float(stream(seed, self._scene, name, "direction").uniform(-np.pi, np.pi))
         self._direction = np.array([np.cos(angle), np.sin(angle), 0.0])
-
-    def step(
-        self,
-        frame: int,
-        time_ns: int,
-        objects: ObjectStates,
-        agent_position: Floats,
-        directive: Targets | None = None,
-    ) -> Tampering:
-        return Tampering.nothing(len(objects))
 
     def forge_pose(self, frame: int, time_ns: int, position: Floats) -> Floats:
         offset_m = min(self.rate_mps * (time_ns / NANOSECONDS - self.start_s), self.limit_m)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from mast_zenoh.arrays.checks import check
-from mast_zenoh.arrays.states import Floats, ObjectStates
-from mast_zenoh.attacks.attack import Attack
+from mast_zenoh.attacks.attack import Attack, ObjectsUnchanged
 from mast_zenoh.attacks.campaign import NANOSECONDS
-from mast_zenoh.attacks.targets import Tampering, Targets
 
 
-class SeizedCommands(Attack):
+class SeizedCommands(ObjectsUnchanged, Attack):
     """Puts an acceleration of its own in place of the driver's; the car steers as its driver wants.
 
     A car carries out only what it can do: a command beyond that is refused (`driving.Actuation`).
@@ -26,16 +24,6 @@ class SeizedCommands(Attack):
             raise ValueError(f"end_s: found {end_s}, expected more than start_s, {start_s}")
         self._acceleration = acceleration
         self._span_ns = start_s * NANOSECONDS, end_s * NANOSECONDS
-
-    def step(
-        self,
-        frame: int,
-        time_ns: int,
-        objects: ObjectStates,
-        agent_position: Floats,
-        directive: Targets | None = None,
-    ) -> Tampering:
-        return Tampering.nothing(len(objects))
 
     def forge_command(self, time_ns: int, acceleration: float, curvature: float) -> tuple[float, float]:
         begin, end = self._span_ns

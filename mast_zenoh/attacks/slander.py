@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
-from mast_zenoh.arrays.states import Floats, ObjectStates
-from mast_zenoh.attacks.attack import Attack
+from mast_zenoh.arrays.states import Floats
+from mast_zenoh.attacks.attack import Attack, ObjectsUnchanged
 from mast_zenoh.attacks.campaign import NANOSECONDS
-from mast_zenoh.attacks.targets import Tampering, Targets
 
 
 @dataclass(kw_only=True, eq=False)
-class Slander(Attack):
+class Slander(ObjectsUnchanged, Attack):
     """Changes what an agent says about whom it trusts, on its way to others (keyexpr_maps/on_gossip.toml).
 
     It tells no trust in some agents, and full trust in the teller and in others: bad-mouthing and ballot stuffing
@@ -30,16 +29,6 @@ class Slander(Attack):
 
     def __post_init__(self) -> None:
         check("0 or more, finite", start_s=self.start_s)
-
-    def step(
-        self,
-        frame: int,
-        time_ns: int,
-        objects: ObjectStates,
-        agent_position: Floats,
-        directive: Targets | None = None,
-    ) -> Tampering:
-        return Tampering.nothing(len(objects))
 
     def forge_trust(self, time_ns: int, teller: str, agents: tuple[str, ...], trust: Floats) -> Floats:
         if time_ns < self.start_s * NANOSECONDS:
