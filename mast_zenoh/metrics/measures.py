@@ -548,15 +548,6 @@ def _undefined(metric: Metric, scores: FrameScores) -> Measured:
     return Measured([None] * shape[0])
 
 
-def summary_of(scores: Scores, scored: slice = slice(None)) -> dict[str, dict[str, dict[str, Any]]]:
-    """Our metrics by agent, estimator and name: per frame as {"mean", "std"} over the scored frames, or over the run.
-
-    The standard deviation is divided by the number of frames. Values that are undefined, without frames or pairs, are
-    None (JSON null).
-    """
-    return measured([*MEASURES.values()], ScoredRun(scores, scored))[0]
-
-
 def per_frame(scores: Scores) -> Table:
     """A row per series and frame.
 

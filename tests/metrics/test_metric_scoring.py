@@ -10,13 +10,19 @@ from metric_worlds import NOTHING, PICTURE, best_pairs, cars, recorded
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.metrics import CenterDistanceAssigner, IoU3DGreedyAssigner, Record, Scorer, Series, SetDistance
-from mast_zenoh.metrics.measures import per_frame, summary_of
+from mast_zenoh.metrics.measures import MEASURES, ScoredRun, measured, per_frame
 from mast_zenoh.metrics.record import Snapshot
+from mast_zenoh.metrics.scores import Scores
 
 
 def record(truth: list[ObjectStates], picture: list[ObjectStates], **more) -> Record:
     """A run of one agent, the ego."""
     return recorded(truth, {PICTURE: picture}, **more)
+
+
+def summary_of(scores: Scores, scored: slice = slice(None)) -> dict:
+    """Our metrics by agent, estimator and name."""
+    return measured([*MEASURES.values()], ScoredRun(scores, scored))[0]
 
 
 def summary(truth: list[ObjectStates], picture: list[ObjectStates], scored: slice = slice(None)) -> dict:
