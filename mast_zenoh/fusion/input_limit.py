@@ -60,19 +60,12 @@ class InputLimit(ABC):
         """
         raise NotImplementedError(f"{type(self).__name__} has `rows`, but does not define `cut`")
 
-    @abstractmethod
-    def reset(self) -> None:
-        """Forget all frames."""
-
 
 class NoInputLimit(InputLimit):
     """Keeps all rows."""
 
     def select(self, objects: Mapping[str, ClaimedObjects]) -> dict[str, Ints]:
         return {}
-
-    def reset(self) -> None:
-        pass
 
 
 @dataclass(kw_only=True, eq=False)
@@ -103,9 +96,6 @@ class FairInput(InputLimit):
     def __post_init__(self) -> None:
         check("1 or more", rows=self.rows, memory_frames=self.memory_frames)
         check("0 to 1", reserve=self.reserve)
-        self.reset()
-
-    def reset(self) -> None:
         self._frame = 0
         self._since: dict[str, dict[int, int]] = {}
         self._absent: dict[str, dict[int, int]] = {}  # objects that are not kept now, and the frame when they were last
