@@ -142,6 +142,11 @@ def to_local(points: Floats, position: Floats, rotation: Floats) -> Floats:
     return (points - position) @ rotation
 
 
+def distance_along(points: Floats) -> Floats:
+    """Distance (k,) m along a polyline, of each of its points (k, >= 2) m from the first one, seen from above."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T))])
+
+
 def along_and_across(offset: Floats, yaw: Floats) -> Floats:
     """(n, 2) m ahead and to the left, in boxes with headings (n,), of offsets (n, >= 2) m from their centres."""
     c, s = np.cos(yaw), np.sin(yaw)

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
-from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.geometry import distance_along, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, ObjectStates, concatenate
 from mast_zenoh.attacks.surroundings import Coverage, touching
 
@@ -76,8 +76,7 @@ def path_ahead(coverage: Coverage) -> Path | None:
     heading = rotation_from_quaternion(route.rotation[-1])[:2, 0]
     corners.append(corners[-1] + 2.0 * PATH_AHEAD_M[1] * heading / np.hypot(*heading))
     table = np.array(corners)
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(table, axis=0).T))])
-    return Path(table, along, float(np.hypot(*(position_in_1s - position_now)[:2])))
+    return Path(table, distance_along(table), float(np.hypot(*(position_in_1s - position_now)[:2])))
 
 
 #: Candidate positions for each false object; it is left out if none is allowed.

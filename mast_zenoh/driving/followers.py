@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.geometry import distance_along, wrap_angle
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.driving.braking import Brake, brakes_of, spans
 from mast_zenoh.metrics.driving import STANDING_MPS, RoadUsers, VehicleCourse
@@ -77,7 +77,7 @@ def behind_car(
     """The traffic behind a car, "behind" of metrics.json: see docs/driving.md. brakes: of the car"""
     to_car = behind(car, objects)
     mine = np.isfinite(to_car)
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(car.position[:, :2], axis=0).T))])
+    along = distance_along(car.position)
     hard_brakes, hardest, standing, delay, cars = 0, 0.0, 0, 0.0, np.unique(ids[mine]).tolist()
     onsets = []
     for number in cars:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
+from mast_zenoh.arrays.geometry import distance_along
 from mast_zenoh.arrays.states import Floats
 
 
@@ -73,7 +74,7 @@ class RouteAhead:
     @cached_property
     def along(self) -> Floats:
         """(k,) m, distance of each point from the first one, along the points."""
-        return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.position, axis=0).T))])
+        return distance_along(self.position)
 
 
 class LaneMotion(NamedTuple):

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import distance_along
 from mast_zenoh.arrays.rectangles import overlapping
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
@@ -185,7 +186,7 @@ class Driving:
         Overlapping objects are left out: they are the vehicle itself, or a collision that has already happened.
         """
         path, heading, along = _path(vehicle, self.horizon_m)
-        driven = _distance_driven(vehicle)
+        driven = distance_along(vehicle.position)
         row, point = _near_path(objects, path, along, driven)
         frame = objects.frame[row]
         c, s = np.cos(heading[point]), np.sin(heading[point])
@@ -253,18 +254,13 @@ def _path(vehicle: VehicleCourse, horizon_m: float) -> tuple[Floats, Floats, Flo
     last = vehicle.heading[-1]
     extension = (horizon_m + vehicle.length) * np.array([np.cos(last), np.sin(last)])
     corners = np.concatenate([vehicle.position[:, :2], vehicle.position[-1:, :2] + extension])
-    length = np.concatenate([_distance_driven(vehicle), [0.0]])
+    length = np.concatenate([distance_along(vehicle.position), [0.0]])
     length[-1] = length[-2] + np.hypot(*extension)
     moved = np.diff(length, prepend=-1.0) > 1e-9
     along = np.arange(0.0, length[-1], _STEP_M)
     points = np.column_stack([np.interp(along, length[moved], corners[moved, axis]) for axis in (0, 1)])
     tangent = np.gradient(points, axis=0)
     return points, np.arctan2(tangent[:, 1], tangent[:, 0]), along
-
-
-def _distance_driven(vehicle: VehicleCourse) -> Floats:
-    """Distance driven (f,) m along the path in each frame."""
-    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(vehicle.position[:, :2], axis=0).T))])
 
 
 TRUTH = "truth"
