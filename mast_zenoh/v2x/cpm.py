@@ -54,7 +54,7 @@ class Cpm:
 
 _MANAGEMENT = "payload.managementContainer"
 _REFERENCE = f"{_MANAGEMENT}.referencePosition"
-#: Slots of a message in the order of `_header`.
+#: Slots of a message in the order of `to_values`.
 _HEADER = np.array(
     [
         slot_of(LAYOUT.type, path)

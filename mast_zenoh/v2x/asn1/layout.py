@@ -225,15 +225,14 @@ class EncodingProgram:
 def slot_of(type: Type, path: str) -> int:
     """The slot of a field's value in the row of a type, for example "position.xCoordinate.value".
 
-    Parts are names of fields and alternatives; "?" after a name: the slot of its presence instead; "#": of the number
-    of a choice's alternative.
+    Parts are names of fields and alternatives; "?" after a name: the slot of its presence instead.
     """
     slot = 0
     for part in path.split("."):
         if isinstance(type, Sequence):
             place = next(place for place in places(type) if place.name == part.rstrip("?"))
             slot, type = slot + (place.first if part.endswith("?") else place.slot), place.type
-        elif part != "#":
+        else:
             assert isinstance(type, Choice)
             slot, type = slot + 1, type.known[part]
     return slot
