@@ -13,7 +13,7 @@ from mast_zenoh.attacks.adaptive import Budget
 from mast_zenoh.attacks.attack import OWN_TARGET_M
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.following import Follower
-from mast_zenoh.attacks.knowledge import Attacker, Trust, TrustWatch
+from mast_zenoh.attacks.knowledge import Attacker, TrustWatch, TrustWatcher
 from mast_zenoh.attacks.phantoms import BOX
 from mast_zenoh.attacks.regions import REGIONS, Shape
 from mast_zenoh.attacks.selection import CoordinatedSelection, Selection, ground_height
@@ -188,7 +188,7 @@ class ColludingSelection(Selection):
         return np.where(liars > witnesses, witnesses.astype(np.float64), np.inf)
 
 
-class Collusion(Coordinator):
+class Collusion(TrustWatcher, Coordinator):
     """Lets adversaries confirm one another's false objects and suppress real ones together, at a common budget.
 
     Where more liars than honest agents look, neither a majority nor a k-of-n rule can tell who is right. Each adversary
@@ -215,9 +215,6 @@ class Collusion(Coordinator):
         selection = ColludingSelection(budget=budget, speed_mps=speed_mps)
         super().__init__(selection=selection, reselect_every_s=reselect_every_s, start_s=start_s)
         self._watch = TrustWatch(tolerance)
-
-    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
-        self._watch.hear(trust, self._surroundings.victims)
 
     def step(
         self, frame: int, time_ns: int, objects: ObjectStates, source: Ints, agent_positions: Floats

@@ -11,7 +11,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, canonica
 from mast_zenoh.attacks.adaptive import Budget, Lies, Moment
 from mast_zenoh.attacks.campaign import NANOSECONDS
 from mast_zenoh.attacks.coordination import CLUSTER_M, Coordinator
-from mast_zenoh.attacks.knowledge import Trust, TrustWatch
+from mast_zenoh.attacks.knowledge import Trust, TrustWatch, TrustWatcher
 from mast_zenoh.attacks.phantoms import AHEAD_S, CautiousPhantoms
 from mast_zenoh.attacks.real_objects import SELF_M, WITNESS_M, ChangingAttack
 from mast_zenoh.attacks.regions import FewWitnesses
@@ -108,7 +108,7 @@ class DeniedSelection(Selection):
         return np.where(outnumbered, distance + WITNESS_M * witnesses, np.inf)
 
 
-class PairedDenial(Coordinator):
+class PairedDenial(TrustWatcher, Coordinator):
     """Lets two adversaries or more hide what at most two honest agents look at, and claim free space there.
 
     Two deny what one reports: a majority says that the honest witness lies. Two against two is a tie, and two against
@@ -139,9 +139,6 @@ class PairedDenial(Coordinator):
         self._denied = DeniedSelection(budget=budget, witnesses=witnesses)
         super().__init__(selection=self._denied, reselect_every_s=reselect_every_s, start_s=start_s)
         self._watch = TrustWatch(tolerance)
-
-    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
-        self._watch.hear(trust, self._surroundings.victims)
 
     def step(
         self, frame: int, time_ns: int, objects: ObjectStates, source: Ints, agent_positions: Floats

@@ -111,3 +111,16 @@ class TrustWatch:
                 fallen.append(mean < highest - self._tolerance or state == SUSPENDED)
         if fallen:
             self.fallen = any(fallen)
+
+
+class TrustWatcher(Attacker):
+    """Base of attackers that watch the trust in their own agents.
+
+    _watch, _surroundings: set by the attacker
+    """
+
+    _watch: TrustWatch
+    _surroundings: Surroundings
+
+    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
+        self._watch.hear(trust, self._surroundings.victims)

@@ -14,7 +14,7 @@ from mast_zenoh.attacks.adaptive import AdaptiveAttack, Lies, Moment
 from mast_zenoh.attacks.attack import Attack
 from mast_zenoh.attacks.campaign import TrajectoryPropagation
 from mast_zenoh.attacks.imitation import VictimLike
-from mast_zenoh.attacks.knowledge import Trust, TrustWatch
+from mast_zenoh.attacks.knowledge import Trust, TrustWatch, TrustWatcher
 from mast_zenoh.attacks.regions import MAX_ACCELERATION_MPS2, REGIONS, VEHICLE_M, Region, Shape
 from mast_zenoh.attacks.selection import ground_height
 from mast_zenoh.attacks.surroundings import Surroundings, boxes_of, touching
@@ -129,7 +129,7 @@ class BlindSpot(PhantomAttack):
         return seen if coverage.fused else seen | ~coverage.visible(moment.view, boxes_of(phantoms))
 
 
-class CautiousPhantoms(PhantomAttack):
+class CautiousPhantoms(TrustWatcher, PhantomAttack):
     """Base of attacks whose phantoms are never placed where they would be withdrawn, and that heed the trust.
 
     tolerance: 0 to 1, fall of the trust in the victim that is accepted: beyond it, all phantoms are withdrawn
@@ -140,9 +140,6 @@ class CautiousPhantoms(PhantomAttack):
         super().__init__(budget=budget, start_s=start_s, speed_mps=speed_mps)
         self._watch = TrustWatch(tolerance)
         self._placed = 0
-
-    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
-        self._watch.hear(trust, self._surroundings.victims)
 
     def counts(self) -> dict[str, int]:
         return {"selected": 0, "placed": self._placed, "wanted": self._numbers_used}
@@ -187,7 +184,7 @@ class _Copy:
     blocked_ns: int = -1
 
 
-class Mimic(AdaptiveAttack):
+class Mimic(TrustWatcher, AdaptiveAttack):
     """Repeats the paths of real vehicles some seconds later, with their own noise.
 
     A vehicle that entered at the edge of the victim's view is followed by a false one, which enters at the same place
@@ -215,9 +212,6 @@ class Mimic(AdaptiveAttack):
         self._known: set[int] = set()
         self._copies: list[_Copy] = []
         self._copied: set[int] = set()
-
-    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
-        self._watch.hear(trust, self._surroundings.victims)
 
     def rest(self) -> None:
         self._copies = []

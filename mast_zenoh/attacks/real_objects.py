@@ -17,7 +17,7 @@ from mast_zenoh.attacks.adaptive import AdaptiveAttack, Budget, Lies, Moment
 from mast_zenoh.attacks.attack import OWN_TARGET_M, Attack, ObjectsUnchanged
 from mast_zenoh.attacks.campaign import NANOSECONDS
 from mast_zenoh.attacks.following import Follower
-from mast_zenoh.attacks.knowledge import Trust, TrustWatch
+from mast_zenoh.attacks.knowledge import TrustWatch, TrustWatcher
 from mast_zenoh.attacks.surroundings import AgentSensor, Surroundings, boxes_of
 from mast_zenoh.streams import stream
 
@@ -112,7 +112,7 @@ class ChangingAttack(AdaptiveAttack):
         """What to claim instead of the chosen objects (k); None: that they are not there. numbers: (k,)"""
 
 
-class SlowDrift(ChangingAttack):
+class SlowDrift(TrustWatcher, ChangingAttack):
     """Moves the objects nearest to the ego by an offset that grows so slowly that no single message is suspicious.
 
     Each object drifts in a direction drawn once; its velocity agrees with the drift. While the trust in the victim is
@@ -142,9 +142,6 @@ class SlowDrift(ChangingAttack):
         self._watch = TrustWatch(tolerance)
         self._offset_m: dict[int, float] = {}  # by number
         self._direction: dict[int, float] = {}
-
-    def hear_trust(self, frame: int, time_ns: int, trust: Trust) -> None:
-        self._watch.hear(trust, self._surroundings.victims)
 
     def _claims(self, moment: Moment, numbers: Ints, real: ObjectStates) -> ObjectStates:
         rate = -self._rate_mps if self._watch.fallen else self._rate_mps
