@@ -17,7 +17,7 @@ from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import Attack, PassThrough, Surroundings, Tampering, Targets
 from mast_zenoh.attacks.campaign import COUNTS, shortfall
-from mast_zenoh.attacks.knowledge import tell_newest
+from mast_zenoh.attacks.knowledge import CentreMessages
 from mast_zenoh.attacks.surroundings import UNKNOWN
 from mast_zenoh.attacks.targets import Changes
 from mast_zenoh.attacks.victim import (
@@ -75,8 +75,7 @@ class Adversary(Node):
         self.victims = {name: Victim(name, copy.deepcopy(attack) if i else attack) for i, name in enumerate(names)}
         self.of_wire: dict[tuple[str, str], Victim] = {}  # by port and subject, where an agent has several of a type
         self.directives: LatestBefore[Targets] = LatestBefore()
-        self.pictures: LatestBefore[Received] = LatestBefore()
-        self.trusts: LatestBefore[Received] = LatestBefore()
+        self.overheard = CentreMessages()
         self.lie_type = ""  # type of the messages whose lies a view has to agree with
 
     def start(self, context: Context) -> None:
@@ -191,13 +190,11 @@ class Adversary(Node):
         forward(received, context, body)
         self.report(victim, Changes.of_message(np.zeros(3), np.zeros(3)), received, context)
 
-    def on_overheard_picture(self, received: Received, context: Context) -> None:
-        """The command centre's picture, which the attack knows from the next frame on."""
-        self.pictures.add(context.frame, received, received.frame)
-
     def on_trust(self, received: Received, context: Context) -> None:
-        """The command centre's trust, which the attack knows from the next frame on."""
-        self.trusts.add(context.frame, received, received.frame)
+        """The command centre's trust or picture, which the attack knows from the next frame on."""
+        self.overheard.add(context.frame, received)
+
+    on_overheard_picture = on_trust
 
     def on_directive(self, received: Received, context: Context) -> None:
         """Store the coordinator's plan, which takes effect in the frame after its arrival."""
@@ -299,7 +296,7 @@ class Adversary(Node):
         self, victim: Victim, received: Received, objects: ObjectStates, pose: Body, context: Context
     ) -> Tampering:
         """Apply the attack to one message, and publish a report of it."""
-        self.tell(victim, context)
+        self.overheard.tell(victim.attack, victim.heard, context.frame)
         latest = self.directives.get(context.frame)
         directive = latest[1] if latest else None
         tampering = victim.attack.step(received.frame, received.time_ns, objects, pose["position"], directive)
@@ -325,10 +322,6 @@ class Adversary(Node):
             for received, changes in victim.reports:
                 context.publish("report", changes.columns(), frame=received.frame, time_ns=received.time_ns)
             victim.reports.clear()
-
-    def tell(self, victim: Victim, context: Context) -> None:
-        """Tell the attack the newest picture and trust from an earlier frame, once each."""
-        tell_newest(victim.attack, victim.heard, context.frame, self.pictures, self.trusts)
 
 
 def forward(received: Received, context: Context, body: Body | None = None) -> None:

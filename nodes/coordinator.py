@@ -12,9 +12,9 @@ from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.states import ObjectStates, concatenate, propagate
 from mast_zenoh.attacks import Coordination, Surroundings, Targets
 from mast_zenoh.attacks.campaign import shortfall
-from mast_zenoh.attacks.knowledge import tell_newest
+from mast_zenoh.attacks.knowledge import CentreMessages
 from mast_zenoh.attacks.surroundings import UNKNOWN
-from mast_zenoh.gather import Gather, LatestBefore
+from mast_zenoh.gather import Gather
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.runtime.mesh.hosting import main
@@ -40,9 +40,8 @@ class Coordinator(Node):
         self.surroundings = surroundings
         self.adversaries = frozenset(adversaries)
         self.observed: Gather[str, Received] = Gather()  # follows the adversaries that are up
-        self.pictures: LatestBefore[Received] = LatestBefore()
-        self.trusts: LatestBefore[Received] = LatestBefore()
-        self.heard = {"picture": -1, "trust": -1}  # frames of arrival of what the coordination has heard
+        self.overheard = CentreMessages()
+        self.heard: dict[str, int] = {}  # frames of arrival of what the coordination has heard, by type
 
     def start(self, context: Context) -> None:
         """Initialise the random streams."""
@@ -78,17 +77,15 @@ class Coordinator(Node):
         if items is not None:
             self.direct(received.frame, items, context)
 
-    def on_overheard_picture(self, received: Received, context: Context) -> None:
-        """The command centre's picture, which is known from the next frame on."""
-        self.pictures.add(context.frame, received, received.frame)
-
     def on_trust(self, received: Received, context: Context) -> None:
-        """The command centre's trust, which is known from the next frame on."""
-        self.trusts.add(context.frame, received, received.frame)
+        """The command centre's trust or picture, which is known from the next frame on."""
+        self.overheard.add(context.frame, received)
+
+    on_overheard_picture = on_trust
 
     def direct(self, frame: int, items: dict[str, Received], context: Context) -> None:
         """Send one plan to the adversaries that reported, for the frames that follow."""
-        self.tell(context)
+        self.overheard.tell(self.coordination, self.heard, context.frame)
         names = sorted(items)
         bodies = [items[name].body for name in names]
         time_ns = max(items[name].time_ns for name in names)
@@ -109,10 +106,6 @@ class Coordinator(Node):
         )
         for name, targets in zip(names, plans, strict=True):
             context.publish("directive", directive(targets), subject=name, frame=frame, time_ns=time_ns)
-
-    def tell(self, context: Context) -> None:
-        """Tell the coordination the newest picture and trust from an earlier frame, once each."""
-        tell_newest(self.coordination, self.heard, context.frame, self.pictures, self.trusts)
 
 
 def view_of(body: Body, moved: np.ndarray) -> SensorView:

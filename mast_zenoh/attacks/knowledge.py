@@ -66,26 +66,31 @@ class Attacker(ABC):  # noqa: B024 (attacks and coordinators have their own `ste
         return {}
 
 
-def tell_newest(
-    listener: Attacker,
-    heard: dict[str, int],
-    frame: int,
-    pictures: LatestBefore[Received],
-    trusts: LatestBefore[Received],
-) -> None:
-    """Tell a listener the newest picture and trust from before a frame, once each.
+class CentreMessages:
+    """Pictures and trust of a command centre, as attackers overhear them: known from the next frame on."""
 
-    heard: frames of arrival of the last "picture" and "trust" that it was told; updated
-    """
-    for name, newest in (("picture", pictures.get(frame)), ("trust", trusts.get(frame))):
-        if newest is None or newest[0] == heard[name]:
-            continue
-        heard[name], received = newest
-        about = received.frame, received.time_ns
-        if name == "picture":
-            listener.hear_picture(*about, ObjectStates.from_columns(received.body))
-        else:
-            listener.hear_trust(*about, Trust.of_columns(received.body))
+    def __init__(self) -> None:
+        self._newest: dict[str, LatestBefore[Received]] = {"picture": LatestBefore(), "trust": LatestBefore()}
+
+    def add(self, frame: int, received: Received) -> None:
+        """Keep a picture or a trust message that arrived in a frame."""
+        self._newest[received.schema].add(frame, received, received.frame)
+
+    def tell(self, listener: Attacker, heard: dict[str, int], frame: int) -> None:
+        """Tell a listener the newest of each from before a frame, once each.
+
+        heard: by type, frames of arrival of the last ones that it was told; updated
+        """
+        for name, messages in self._newest.items():
+            newest = messages.get(frame)
+            if newest is None or newest[0] == heard.get(name, -1):
+                continue
+            heard[name], received = newest
+            about = received.frame, received.time_ns
+            if name == "picture":
+                listener.hear_picture(*about, ObjectStates.from_columns(received.body))
+            else:
+                listener.hear_trust(*about, Trust.of_columns(received.body))
 
 
 class TrustWatch:

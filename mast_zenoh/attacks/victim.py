@@ -39,7 +39,7 @@ class Victim:
         self.waiting: dict[str, deque[Received]] = {"detections": deque(), "tracks": deque(), "picture": deque()}
         self.views: deque[Received] = deque()  # claimed views that wait for the lies of their frame
         self.attacked: deque[int] = deque(maxlen=POSES_KEPT)  # frames whose lies are known
-        self.heard = {"picture": -1, "trust": -1}  # frames of arrival of what its attack has heard
+        self.heard: dict[str, int] = {}  # frames of arrival of what its attack has heard, by type
         self.reports: list[tuple[Received, Changes]] = []  # that have not been published
 
     def store_pose(self, frame: int, pose: Body) -> None:
