@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, overload
 
@@ -269,15 +269,15 @@ class RunScoring:
         data.meter.close(last)
         assessment = self._assessed(math.inf)
         tables = self._add(assessment, -math.inf if not self._blocks else float(self._next or 0), math.inf)
-        joined = Joined(self._blocks, settings)
-        scores, scored = joined.scores, settings.scored(self._n_frames)
-        frames, times = scores.frames, data.times_ns
+        joined = Joined(self._blocks, settings, data.period_s)
+        scored = joined.scored
+        frames, times = joined.scores.frames, data.times_ns
         targets = Manipulated.joined([block.targets for block in self._blocks])
         switched = {
             name: [by for block in self._blocks for by in block.switched[name]] for name in self._blocks[-1].switched
         }
         drives = joined.drives()
-        summary, per_frame, failed_metrics = self._scored(joined, scored)
+        summary, per_frame, failed_metrics = self._scored(joined)
         happened, courses = self._happened(joined)
         pictures = own_pictures(data)
         consistency = settings.consistency.of(
@@ -322,21 +322,16 @@ class RunScoring:
             for wire, by_metric in measured
         }
 
-    def _scored(
-        self, joined: Joined, scored: slice
-    ) -> tuple[dict[str, dict[str, dict[str, Any]]], Table, dict[str, BaseException]]:
+    def _scored(self, joined: Joined) -> tuple[dict[str, dict[str, dict[str, Any]]], Table, dict[str, BaseException]]:
         """The summary by agent and estimator, the table per frame, and errors of user-defined metrics by name."""
         scores = joined.scores
-        run = JoinedRun(scores, scored, joined.estimates(self.data.period_s), joined=joined)
         own = [metric for metric in self.settings.metrics if isinstance(metric, (FrameMetric, RunMetric))]
-        summary, columns, failed = measured([*MEASURES.values(), *own], run)
+        summary, columns, failed = measured([*MEASURES.values(), *own], joined)
         causes = causes_of(joined.causes(), sum(block.counted for block in self._blocks))
         for (agent, estimator), row in scores.every_series.items():
             summary[agent][estimator] |= causes[row]
-        counted = np.zeros(len(scores.frames), bool)
-        counted[scored] = True
         table = frame_keys(scores) | columns
-        table["scored"] = np.tile(counted, len(scores.every_series))
+        table["scored"] = np.tile(joined.counts, len(scores.every_series))
         return summary, table, failed
 
     def _happened(self, joined: Joined) -> tuple[dict[str, Any], Table]:
@@ -406,7 +401,7 @@ class RunScoring:
         return {"integrity": part}
 
 
-class Joined:
+class Joined(ScoredRun):
     """The blocks of a run one after the other.
 
     scores:  per frame. Those of several blocks have a row for every series, because series that have the same messages
@@ -414,7 +409,7 @@ class Joined:
     same_as: series that have the same messages in every block, as in `FrameScores`
     """
 
-    def __init__(self, blocks: Sequence[Block], settings: Evaluation) -> None:
+    def __init__(self, blocks: Sequence[Block], settings: Evaluation, period_s: float) -> None:
         self._blocks = blocks
         self.truth_ids = np.unique(np.concatenate([block.truth_ids for block in blocks]))
         self.same_as = {
@@ -422,11 +417,10 @@ class Joined:
             for name, twin in blocks[-1].scores.same_as.items()
             if all(block.scores.same_as.get(name) == twin for block in blocks)
         }
-        if len(blocks) == 1:
-            self.scores = blocks[0].scores
-        else:
-            self.scores = self._joined_scores(settings)
-        self.names = self.scores.series
+        scores = blocks[0].scores if len(blocks) == 1 else self._joined_scores(settings)
+        estimates = _Estimates(self, period_s) if blocks[0].estimates else ()
+        super().__init__(scores, settings.scored(len(scores.frames)), estimates)
+        self.names = scores.series
 
     def _joined_scores(self, settings: Evaluation) -> FrameScores:
         names = tuple(self._blocks[-1].rows)
@@ -442,14 +436,16 @@ class Joined:
         """The blocks that have a series, each with its row."""
         return [(block, block.rows[name]) for block in self._blocks if name in block.rows]
 
-    def completeness(self) -> list[float | None]:
+    @cached_property
+    def completeness(self) -> Sequence[float | None]:
         """Of each series; see `ScoredRun.completeness`."""
         return [
             ObjectsMatched.joined([block.matched[row] for block, row in self.of_name(name)]).completeness
             for name in self.names
         ]
 
-    def ranked(self) -> list[dict[str, Any]]:
+    @cached_property
+    def ranked(self) -> Sequence[dict[str, Any]]:
         """Of each series the means over the blocks, weighted with their objects."""
         return [
             mean_ranking([(block.ranked[row], int(block.objects[row])) for block, row in self.of_name(name)])
@@ -491,21 +487,17 @@ class Joined:
             if all(car in of for of in every)
         }
 
-    def values(self, label: str) -> Floats:
+    def values(self, metric: FrameMetric) -> Floats:
         """Values (s, f) of a user's metric, NaN before a series begins. Raises what the metric raised."""
         values: list[list[Floats]] = [[] for _ in self.names]
         for block in self._blocks:
-            own = block.own[label]
+            own = block.own[metric.label]
             if isinstance(own, BaseException):
                 raise own
             for row, name in enumerate(self.names):
                 missing = np.full(len(block.scores.frames), np.nan)
                 values[row].append(own[block.rows[name]] if name in block.rows else missing)
         return np.array([np.concatenate(row) for row in values]).reshape(self.scores.fn.shape)
-
-    def estimates(self, period_s: float) -> Sequence[Estimate]:
-        """The estimates, for users' metrics of whole runs, made one by one; empty without such metrics."""
-        return _Estimates(self, period_s) if self._blocks[0].estimates else ()
 
     def columns(self, name: Name) -> EstimateColumns:
         """An estimate from the block on in which it begins."""
@@ -535,7 +527,7 @@ def _row(block: Block, name: Name, settings: Evaluation) -> dict[str, NDArray[An
 
 
 class _Estimates(Sequence[Estimate]):
-    """The estimates of a run, each made when it is asked for."""
+    """The estimates of a run, for users' metrics of whole runs, each made when it is asked for."""
 
     def __init__(self, joined: Joined, period_s: float) -> None:
         self._joined, self._period_s = joined, period_s
@@ -552,24 +544,3 @@ class _Estimates(Sequence[Estimate]):
             return [self[row] for row in range(len(self))[index]]
         name = self._joined.names[index]
         return self._joined.columns(name).estimate(*name, self._period_s)
-
-
-@dataclass(frozen=True, eq=False)
-class JoinedRun(ScoredRun):
-    """A run of several blocks."""
-
-    joined: Joined = field(kw_only=True)
-
-    @cached_property
-    def ranked(self) -> Sequence[dict[str, Any]]:
-        """See `Joined.ranked`."""
-        return self.joined.ranked()
-
-    @cached_property
-    def completeness(self) -> Sequence[float | None]:
-        """See `Joined.completeness`."""
-        return self.joined.completeness()
-
-    def values(self, metric: FrameMetric) -> Floats:
-        """See `Joined.values`."""
-        return self.joined.values(metric.label)

@@ -23,7 +23,7 @@ from mast_zenoh.metrics.ranking import rankings
 from mast_zenoh.metrics.scores import FrameScores, Scores, Table, mean_and_std, means_and_stds
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class ScoredRun:
     """What metrics are computed from.
 
