@@ -11,7 +11,14 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, states_to_local, states_to_world
+from mast_zenoh.arrays.geometry import (
+    NO_OFFSET,
+    NO_TURN,
+    heading,
+    rotation_from_quaternion,
+    states_to_local,
+    states_to_world,
+)
 from mast_zenoh.arrays.states import Detections, Floats, ObjectStates
 from mast_zenoh.gather import Gather, LatestBefore
 from mast_zenoh.integrity.views import UNKNOWN_SPACE, SweptView, view_columns
@@ -24,9 +31,7 @@ from mast_zenoh.v2x.tracks import orientation_of, rotation_of
 from mast_zenoh.wiring.model import part_of
 
 #: Frame of reference of states in the world frame.
-WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
-for _part in WORLD.values():
-    _part.setflags(write=False)
+WORLD = {"origin": NO_OFFSET, "rotation": NO_TURN}
 
 
 class Measurement(NamedTuple):
@@ -231,7 +236,7 @@ class Agent(Node):
         origin, rotation = self.pipeline.reference(pose)
         reference, published = {"origin": origin, "rotation": rotation}, tracks
         if self.tracks_from == "agent":
-            turn = WORLD["rotation"]
+            turn = NO_TURN
             if self.mobile:
                 turn = rotation_of(orientation_of(float(heading(rotation_from_quaternion(pose.quaternion)))))
             published = states_to_local(states_to_world(tracks, origin, rotation), pose.position, turn)

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, tracks_in_world
+from mast_zenoh.arrays.geometry import NO_OFFSET, NO_TURN, heading, rotation_from_quaternion, tracks_in_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion.input_limit import InputLimit
 from mast_zenoh.gather import MAX_AGE_S, Gather, Newest, plausible, plausible_rows
@@ -52,7 +52,7 @@ ITSELF = 1 << 62
 #: Ports of tracks that others send by radio, and under which name their messages are counted.
 COUNTED = {"heard": "heard", "heard_awareness": "aware"}
 #: Frame of reference of what a vehicle says of itself.
-WORLD = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
+WORLD = {"origin": NO_OFFSET, "rotation": NO_TURN}
 
 
 def reporter_of(sender: str, port: str) -> str:

@@ -18,7 +18,11 @@ from mast_zenoh.kernels import kernel
 
 TWO_PI = 2.0 * np.pi
 
-_NO_TURN = [1.0, 0.0, 0.0, 0.0]
+#: Origin (3,) m and rotation (4,), active quaternion w x y z, of a frame that is the frame of reference itself.
+NO_OFFSET, NO_TURN = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+NO_OFFSET.setflags(write=False)
+NO_TURN.setflags(write=False)
+_NO_TURN: list[float] = NO_TURN.tolist()
 
 
 def wrap_angle(angle: Floats) -> Floats:

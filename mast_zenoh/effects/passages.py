@@ -315,18 +315,14 @@ class PassageMeter:
     def take_received(self, message: Overheard) -> None:
         """Add a message that the interposer has received."""
         self.received += 1
-        try:
-            header = message.header
-        except MessageError:
-            self._unreadable[0].append(message)
+        id_ = self._number_of(message, self._unreadable[0])
+        if id_ is None:
             return
-        id_ = header.frame, header.seq
-        self._expire(message.step)
         if id_ in self._unmatched_sent:
             self._pair(id_, message, _pop_first(self._unmatched_sent, id_))
             return
-        if self._first_sent.get(header.frame, id_) != id_:
-            self._note_preempted(header.frame, message)
+        if self._first_sent.get(id_[0], id_) != id_:
+            self._note_preempted(id_[0], message)
         self._waiting.setdefault(id_, []).append(message)
         if len(self._waiting) > MAX_WAITING:
             for oldest in self._waiting.pop(next(iter(self._waiting))):
@@ -334,31 +330,37 @@ class PassageMeter:
 
     def take_sent(self, message: Overheard) -> None:
         """Add a message that the interposer has sent."""
-        try:
-            header = message.header
-        except MessageError:
-            self._unreadable[1].append(message)
+        id_ = self._number_of(message, self._unreadable[1])
+        if id_ is None:
             return
-        id_ = header.frame, header.seq
-        self._expire(message.step)
         if id_ in self._waiting:
-            self._first_sent.setdefault(header.frame, id_)
+            self._first_sent.setdefault(id_[0], id_)
             received = _pop_first(self._waiting, id_)
             if message.step - received.step <= self.latest:
                 self._pair(id_, received, message)
                 return
             self._note_dropped(id_, received)
-        first = self._first_sent.setdefault(header.frame, id_)
+        first = self._first_sent.setdefault(id_[0], id_)
         if first == id_:
-            rival = next((messages[0] for number, messages in self._waiting.items() if number[0] == header.frame), None)
+            rival = next((messages[0] for number, messages in self._waiting.items() if number[0] == id_[0]), None)
             if rival is not None:
-                self._note_preempted(header.frame, rival)
+                self._note_preempted(id_[0], rival)
         self._unmatched_sent.setdefault(id_, []).append(message)
         if id_ in self._sent:
             self._repeated[id_] = self._sent[id_]
         if len(self._unmatched_sent) > MAX_WAITING:
             oldest = next(iter(self._unmatched_sent))
             self._classify_unmatched(oldest, self._unmatched_sent.pop(oldest))
+
+    def _number_of(self, message: Overheard, unreadable: list[Overheard]) -> Id | None:
+        """The frame and number of a new message, after older ones have been classified; None: it is unreadable."""
+        try:
+            header = message.header
+        except MessageError:
+            unreadable.append(message)
+            return None
+        self._expire(message.step)
+        return header.frame, header.seq
 
     def close(self, last_step: int) -> None:
         """End the run after frame `last_step`: classify the unmatched messages."""

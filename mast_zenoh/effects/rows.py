@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.geometry import NO_OFFSET, NO_TURN
 from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints, within_runs
-from mast_zenoh.messages.schemas import SCHEMAS, Body, Header, Schema
+from mast_zenoh.messages.schemas import SCHEMAS, Body, Header, Schema, text
 from mast_zenoh.metrics.boxes import find
 from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, REMOVED
 
@@ -231,7 +232,7 @@ def _effects(a: Rows, b: Rows, p: Ints, q: Ints, names: tuple[str, ...]) -> tupl
 
 #: Columns with the frame of reference of all positions: in the world or in the agent's frame.
 _REFERENCES = (("origin", "rotation"), ("mount_position", "mount_rotation"))
-_WORLD = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+_WORLD = np.concatenate([NO_OFFSET, NO_TURN])
 
 
 class ChangedMessage(NamedTuple):
@@ -404,6 +405,5 @@ def _has(body: Body, reference: tuple[str, str]) -> bool:
 def _bit_names(bits: Ints, names: tuple[str, ...]) -> np.ndarray:
     """(k,) object: the names of the set bits."""
     masks, index = np.unique(bits, return_inverse=True)
-    strings = np.empty(len(masks), object)
-    strings[:] = [" ".join(name for bit, name in enumerate(names) if mask >> bit & 1) for mask in masks.tolist()]
-    return strings[index.reshape(-1)]
+    strings = [" ".join(name for bit, name in enumerate(names) if mask >> bit & 1) for mask in masks.tolist()]
+    return text(strings)[index.reshape(-1)]

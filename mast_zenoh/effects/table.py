@@ -13,10 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.geometry import NO_TURN, rotation_from_quaternion
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.effects.passages import MESSAGE_EFFECTS, PassageMeter
 from mast_zenoh.effects.rows import UNCHANGED
+from mast_zenoh.messages.schemas import text
 from mast_zenoh.metrics.manipulations import KINDS, MOVED
 from mast_zenoh.wiring.model import InterposedWire, agent_of
 
@@ -38,7 +39,7 @@ class ReportedPose(NamedTuple):
     rotation: Floats
 
 
-_UNKNOWN_POSE = ReportedPose(np.full(3, np.nan), np.array([1.0, 0.0, 0.0, 0.0]))
+_UNKNOWN_POSE = ReportedPose(np.full(3, np.nan), NO_TURN)
 
 #: Poses by agent and frame.
 Poses = Mapping[tuple[str, int], ReportedPose]
@@ -50,7 +51,6 @@ class Effects:
 
     Missing values are NaN, -1 or "".
     passages: the passages of the run
-    received: for each passage, the number of messages that it received
     passage:  (n,) row of `passages`
     code:     (n,) index into EFFECTS
     frame, seq: (n,) of the message
@@ -65,7 +65,6 @@ class Effects:
     """
 
     passages: tuple[InterposedWire, ...]
-    received: tuple[int, ...]
     passage: Ints
     code: Ints
     frame: Ints
@@ -88,13 +87,9 @@ class Effects:
         kept = self.step < step
         return replace(self, **{name: getattr(self, name)[kept] for name in _EMPTY})
 
-    def rows(self, *effects: str, whole: bool | None = None) -> Ints:
-        """The rows with these effects.
-
-        whole: None, or the required value of the column `whole`
-        """
-        chosen = np.isin(self.code, [CODE[name] for name in effects])
-        return (chosen if whole is None else chosen & (self.whole == whole)).nonzero()[0]
+    def rows(self, *effects: str) -> Ints:
+        """The rows with these effects."""
+        return np.isin(self.code, [CODE[name] for name in effects]).nonzero()[0]
 
 
 def effects_of(meters: Sequence[PassageMeter], poses: Poses) -> Effects:
@@ -108,7 +103,6 @@ def effects_of(meters: Sequence[PassageMeter], poses: Poses) -> Effects:
     order = np.lexsort([columns[name] for name in ("id", "code", "seq", "frame", "passage")])
     return Effects(
         passages=tuple(meter.passage for meter in meters),
-        received=tuple(meter.received for meter in meters),
         **{name: column[order] for name, column in columns.items()},
     )
 
@@ -130,7 +124,7 @@ def _messages(index: int, meter: PassageMeter) -> dict[str, np.ndarray]:
     columns["code"] = np.array([CODE[each.effect] for each in meter.effects.messages], np.int64)
     for name in ("frame", "seq", "step", "frames_late", "time_ns"):
         columns[name] = np.array([getattr(each, name) for each in meter.effects.messages], np.int64)
-    columns["columns"] = _texts([" ".join(each.columns) for each in meter.effects.messages])
+    columns["columns"] = text([" ".join(each.columns) for each in meter.effects.messages])
     no_positions = {name: np.full((n, 3), np.nan) for name in ("before", "after", "velocity")}
     return columns | no_positions | {"whole": np.zeros(n, bool)}
 
@@ -178,12 +172,6 @@ def _world_transforms(
 def _rotate(rotation: Floats, vectors: Floats) -> Floats:
     """Vectors (n, 3), each rotated by its own rotation (n, 3, 3)."""
     return np.asarray(np.einsum("nij,nj->ni", rotation, vectors))
-
-
-def _texts(values: list[str]) -> np.ndarray:
-    column = np.empty(len(values), object)
-    column[:] = values
-    return column
 
 
 #: s, longest gap between insertions of the same object.

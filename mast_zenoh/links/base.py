@@ -12,7 +12,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, rotation_from_yaw, wrap_angle
 from mast_zenoh.arrays.states import Detections, Floats
 
-_NANOSECONDS = 1e9
+NANOSECONDS = 1e9
 
 
 class SenderPose(NamedTuple):
@@ -35,12 +35,12 @@ class SenderPose(NamedTuple):
         rate = 0.0
         if previous is not None and time_ns > previous.time_ns:
             turn = _heading(rotation) - _heading(previous.rotation)
-            rate = float(wrap_angle(np.array(turn))) / (time_ns - previous.time_ns) * _NANOSECONDS
+            rate = float(wrap_angle(np.array(turn))) / (time_ns - previous.time_ns) * NANOSECONDS
         return cls(time_ns, position, rotation, velocity, rate)
 
     def at(self, time_ns: int) -> tuple[Floats, Floats]:
         """Position (3,) m and rotation (3, 3) at a time, for an agent that moves and turns on as before."""
-        elapsed = (time_ns - self.time_ns) / _NANOSECONDS
+        elapsed = (time_ns - self.time_ns) / NANOSECONDS
         turn = rotation_from_yaw(self.turn_rate * elapsed)
         return self.position + self.velocity * elapsed, turn @ rotation_from_quaternion(self.rotation)
 
@@ -63,7 +63,6 @@ def _heading(quaternion: Floats) -> float:
     return float(heading(rotation_from_quaternion(quaternion)))
 
 
-NANOSECONDS = 1e9
 MAX_DELAY_S = 600.0  #: upper limit of the delay by one rule
 
 

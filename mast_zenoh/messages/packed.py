@@ -22,7 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh import kernels
-from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, states_to_local, tracks_in_world
+from mast_zenoh.arrays.geometry import (
+    NO_OFFSET,
+    NO_TURN,
+    heading,
+    rotation_from_quaternion,
+    states_to_local,
+    tracks_in_world,
+)
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, concatenate, lowest_rows
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import Body, Message
@@ -64,8 +71,6 @@ MAX_SEGMENT_BYTES = 1400
 #: Objects of a message, at most, by codec: the segments of a CPM hold so many of the largest.
 MOST_OBJECTS = {"cpm": 200, "cam": 1}
 
-_STILL = np.array([1.0, 0.0, 0.0, 0.0])
-_STILL.setflags(write=False)
 _IDS = 1 << 16
 
 
@@ -187,7 +192,7 @@ def _read_cam(data: Sequence[bytes], plane: LocalPlane) -> _Reading:
     Its frame is the world: in the sender's own frame, a lie about where it is would be no change of an object.
     """
     states = from_cam(cam.decode(data[0]), plane) if data else ObjectStates.empty()
-    return states, np.zeros(3), _STILL, len(states), len(states)
+    return states, NO_OFFSET, NO_TURN, len(states), len(states)
 
 
 def _read_cpm(data: Sequence[bytes], plane: LocalPlane) -> _Reading:
@@ -199,7 +204,7 @@ def _read_cpm(data: Sequence[bytes], plane: LocalPlane) -> _Reading:
         if message.segment != segment or _station(message) != _station(first):
             raise MessageError(f"cpm: segment {number}: found {message.segment}, expected {segment} of one message")
     states = concatenate([from_cpm(message, plane) for message in parts])
-    rotation = _STILL if first.vehicle is None else rotation_of(first.vehicle[0])
+    rotation = NO_TURN if first.vehicle is None else rotation_of(first.vehicle[0])
     n_objects = sum(0 if message.objects is None else len(message.objects) for message in parts)
     known = n_objects if first.known_objects is None else first.known_objects
     return states, plane.to_point(first.position), rotation, known, n_objects

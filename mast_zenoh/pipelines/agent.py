@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.geometry import NO_OFFSET, NO_TURN, rotation_from_quaternion
 from mast_zenoh.arrays.states import Detections, Floats, ObjectStates
 from mast_zenoh.pipelines.mission import MissionEstimator
 from mast_zenoh.sensing import LidarSensor, sensor_pose, to_world
@@ -51,10 +51,6 @@ class OwnSensor:
         return not self.frames or self.frames[frame % len(self.frames)] == DUE
 
 
-_NO_OFFSET = np.zeros(3)
-_NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
-_NO_OFFSET.setflags(write=False)
-_NO_TURN.setflags(write=False)
 _NO_VIEW: tuple[list[bytes], None] = ([], None)
 
 
@@ -101,7 +97,7 @@ class AgentPipeline:
         time_ns: of the measurement; detections: sensor frame; pose: of the agent in the world
         mount: of the sensor in the agent's frame; lidar, detection_probability: of the sensor; None: the tracker's
         """
-        base = pose if self.frame == "world" else Pose(_NO_OFFSET, _NO_TURN)
+        base = pose if self.frame == "world" else Pose(NO_OFFSET, NO_TURN)
         view = self.view(base, mount, lidar)
         if detection_probability is not None:
             view = replace(view, detection_probability=detection_probability)
@@ -110,7 +106,7 @@ class AgentPipeline:
 
     def reference(self, pose: Pose) -> tuple[Floats, Floats]:
         """Origin (3,) m and active quaternion (4,) of the tracks' frame of reference. pose: of the agent"""
-        reference = Pose(_NO_OFFSET, _NO_TURN) if self.frame == "world" else pose
+        reference = Pose(NO_OFFSET, NO_TURN) if self.frame == "world" else pose
         return reference.position, reference.quaternion
 
     def view(self, base: Pose, mount: Pose, lidar: LidarSensor) -> SensorView:

@@ -15,6 +15,7 @@ import numpy as np
 
 from mast_zenoh.arrays.matching import greedy_matching, neighbours, uncontested
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concatenate
+from mast_zenoh.fusion.base import state_vectors
 from mast_zenoh.fusion.group_tracking import ReturningObjects
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
@@ -276,7 +277,7 @@ class OwnAndPicture(MissionEstimator):
         i, j, _ = self._pairs.find(own, picture)
         alone = np.ones(len(own), bool)
         alone[i] = False
-        means = _means(own)
+        means = state_vectors(own)
         share, change = self._news.update(time_ns, own, means, i)
         objects = _average_pairs(own, picture, means.take(i, 0), i, j, share, change)
         return self._pairs.with_ids(time_ns, own, objects, i, j, alone)
@@ -401,7 +402,7 @@ def _average_pairs(
     claimed = make_positive_definite(picture.covariance.take(j, 0))
     pairs = own_mean, own_covariance, claimed, own.yaw.take(i), share, change
     position, size, velocity, yaw, covariance = averaged(
-        _means(picture), picture.yaw, picture.covariance, j, pairs, WEIGHTING
+        state_vectors(picture), picture.yaw, picture.covariance, j, pairs, WEIGHTING
     )
     return picture.with_(position=position, size=size, velocity=velocity, yaw=yaw, covariance=covariance)
 
@@ -440,11 +441,6 @@ def averaged(
     yaw[j.take(nearer)] = own_yaw.take(nearer)
     position, size, velocity = (mean[:, part : part + 3].copy() for part in (0, 3, 6))
     return position, size, velocity, yaw, covariance
-
-
-def _means(states: ObjectStates) -> Floats:
-    """(n, 9) means, in the order of `states.COVARIANCE_ORDER`."""
-    return np.concatenate([states.position, states.size, states.velocity], axis=1)
 
 
 def _variance(covariance: Floats) -> Floats:

@@ -15,7 +15,6 @@ def inserted(frame: list[int], place: list[tuple[float, float]], id_: list[int] 
     zeros, nowhere = np.zeros(n, np.int64), np.full((n, 3), np.nan)
     return Effects(
         passages=(),
-        received=(),
         passage=zeros,
         code=np.full(n, EFFECTS.index("inserted")),
         frame=np.asarray(frame, np.int64)[order],

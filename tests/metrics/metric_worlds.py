@@ -93,7 +93,6 @@ def effects(*rows: Row, passages: Sequence[InterposedWire] = (), of: Sequence[in
     frame = np.array([row[1] for row in rows], np.int64)
     return Effects(
         passages=ways,
-        received=(0,) * len(ways),
         passage=np.array([nodes.index(row[0]) for row in rows] if of is None else of, np.int64),
         code=np.array([CODE[row[2]] for row in rows], np.int64),
         **dict.fromkeys(("frame", "seq", "step"), frame),
