@@ -44,12 +44,8 @@ RUN_DEFAULTS: dict[str, Any] = {
     "record": True,
     "max_rows": None,
 }
-#: Keys whose values are dicts; those of what a run can do without may be None.
-_DICTS = (
-    *("broker", "command_center", "channel", "evaluator", "coordinator"),
-    *("agents", "centers", "peers", "drivers", "world", "adversaries", "nodes", "links", "hosts", "keyexpr"),
-    "run",
-)
+#: Keys whose values are no dicts, and those of what a run can do without, which may be None.
+_NO_DICTS = ("name", "scene", *LISTS)
 _OPTIONAL = ("broker", "command_center", "channel", "coordinator")
 
 
@@ -70,7 +66,7 @@ def checked(scenario: Mapping[str, Any], place: str) -> Mapping[str, Any]:
             raise plugins.not_found(f"{place}: {key}: unknown key", str(key), KEYS)
         if (key in _OPTIONAL or key in meshes) and value is None:
             continue
-        if (key in _DICTS or key in meshes) and not isinstance(value, Mapping):
+        if key not in _NO_DICTS and not isinstance(value, Mapping):
             raise ConfigurationError(f"{place}: {key}: found {value!r}, expected a dict")
     return scenario
 

@@ -39,7 +39,7 @@ from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import CredentialsError, MastError
 from mast_zenoh.messages import user_types
 from mast_zenoh.node import Node
-from mast_zenoh.runtime.mesh.session import open_client, open_observer
+from mast_zenoh.runtime.mesh.session import direct, open_client, open_observer
 from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
 from mast_zenoh.runtime.protocol.actions import ORPHAN_GRACE_S
 from mast_zenoh.runtime.protocol_log import PROTOCOL_LOGS
@@ -152,9 +152,8 @@ class LauncherWatch:
         self._present = False
         self._changed = threading.Condition()
         self._closing = False
-        handler: Any = zenoh.handlers.Callback(self._note, indirect=False)
         key = f"{control_prefix(run)}/launcher"
-        self._subscriber = session.liveliness().declare_subscriber(key, handler, history=True)
+        self._subscriber = session.liveliness().declare_subscriber(key, direct(self._note), history=True)
         self._watcher = threading.Thread(target=self._watch, daemon=True)
 
     def __enter__(self) -> LauncherWatch:

@@ -28,6 +28,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import SCHEMAS
 from mast_zenoh.node import Node
 from mast_zenoh.runtime.host import OpenedOutside
+from mast_zenoh.runtime.mesh.session import direct
 from mast_zenoh.runtime.outside_link import OutsideLink
 from mast_zenoh.runtime.protocol import events
 from mast_zenoh.runtime.protocol.actions import DOZE_S, DRAIN_TIMEOUT_S, OFFER_TIMEOUT_S, Actions, Clocks
@@ -175,14 +176,12 @@ class ZenohProcess(Actions):
                 node = str(token.key_expr).rpartition("/")[2]
                 driver.receive_presence(node, token.kind == zenoh.SampleKind.PUT)
 
-            presence: Any = zenoh.handlers.Callback(on_token, indirect=False)
             tokens = self.session.liveliness()
-            self._declared.append(tokens.declare_subscriber(f"{self.prefix}/alive/*", presence, history=True))
+            self._declared.append(tokens.declare_subscriber(f"{self.prefix}/alive/*", direct(on_token), history=True))
 
     def _subscribe(self, key: str, callback: Callable[[zenoh.Sample], None]) -> None:
         """Subscribe to a key; the callback runs in Zenoh's thread and must return quickly."""
-        direct: Any = zenoh.handlers.Callback(keeping_state(callback), indirect=False)
-        self._declared.append(self.session.declare_subscriber(f"{self.prefix}/{key}", direct))
+        self._declared.append(self.session.declare_subscriber(f"{self.prefix}/{key}", direct(keeping_state(callback))))
 
     def _obey(self, key: str, receive: Callable[[str, bytes], None]) -> None:
         """Receive the messages on a control key."""
@@ -212,8 +211,7 @@ class ZenohProcess(Actions):
             else:
                 self.answer(query, None)
 
-        direct: Any = zenoh.handlers.Callback(on_query, indirect=False)
-        self._declared.append(self.session.declare_queryable(f"{self.prefix}/@control/{key}", direct))
+        self._declared.append(self.session.declare_queryable(f"{self.prefix}/@control/{key}", direct(on_query)))
 
     def _on_message(self, key: str) -> Callable[[zenoh.Sample], None]:
         """The callback for the messages of a wire on a key."""
@@ -277,7 +275,7 @@ class ZenohProcess(Actions):
             if status.matching:
                 self.inbox.put(events.MatchedEvent(key))
 
-        return zenoh.handlers.Callback(on_status, indirect=False)
+        return direct(on_status)
 
     def publish(self, key: str, payload: bytes, attachment: bytes) -> None:
         self._publishers[key].put(payload, attachment=attachment)
@@ -324,7 +322,7 @@ class ZenohProcess(Actions):
     def _query(self, key: str, payload: bytes, event: Callable[..., events.Event], **options: Any) -> None:
         """Send a query on a control key; once it has ended, put the event of its replies into the inbox."""
         replies = list[zenoh.Reply]()
-        handler: Any = zenoh.handlers.Callback(replies.append, lambda: self.inbox.put(event(replies)), indirect=False)
+        handler = direct(replies.append, lambda: self.inbox.put(event(replies)))
         stamp = control_mark(key)
         self.session.get(f"{self.prefix}/@control/{key}", handler, payload=payload, attachment=stamp, **options)
 

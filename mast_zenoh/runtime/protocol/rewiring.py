@@ -31,7 +31,7 @@ from mast_zenoh.runtime.protocol.traffic import Outlets, Receiving
 from mast_zenoh.wiring.insertion import taps_into
 from mast_zenoh.wiring.model import NO_WIRING, Ports, Wiring
 
-MAX_WAITING = 64  #: maximum number of queued changes
+MAX_CHANGES = 64  #: maximum number of queued changes
 CHANGE_TIMEOUT_NS = 20_000_000_000  #: for all nodes to report an epoch of a change
 
 
@@ -76,8 +76,8 @@ class Rewiring:
 
     def add(self, request: Rewire, query: Query) -> str:
         """Queue a change; returns why it is refused if too many wait, else ""."""
-        if len(self._waiting) >= MAX_WAITING:
-            return f"rewire: more than {MAX_WAITING} changes wait"
+        if len(self._waiting) >= MAX_CHANGES:
+            return f"rewire: more than {MAX_CHANGES} changes wait"
         self._waiting.append(WiringChange(*request, query, self.now_ns()))
         return ""
 
@@ -158,7 +158,7 @@ class Rewiring:
         return ", ".join(sorted(self.pacer.silent)) or self.membership.own
 
 
-MAX_WAITING = 64  #: maximum number of unanswered queries at one node
+MAX_QUERIES = 64  #: maximum number of unanswered queries at one node
 
 
 @dataclass(eq=False)
@@ -272,8 +272,8 @@ class WiringFollower:
             raise MessageError(f"drain: {self.name} has not been told to leave")
         if key not in taps_into(self.wiring, (self.name,)):
             raise MessageError(f"drain: found {key!r:.80}, which {self.name} is not on")
-        if self._accepted >= MAX_WAITING:
-            raise MessageError(f"drain: more than {MAX_WAITING} queries")
+        if self._accepted >= MAX_QUERIES:
+            raise MessageError(f"drain: more than {MAX_QUERIES} queries")
         self._accepted += 1
         return key
 
