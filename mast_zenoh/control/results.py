@@ -18,6 +18,7 @@ from mast_zenoh.control import codec
 from mast_zenoh.control.failures import MAX_HANDLERS, FailureEntry
 from mast_zenoh.control.tables import TablePart, checked_columns
 from mast_zenoh.errors import MessageError
+from mast_zenoh.messages.schemas import text
 from mast_zenoh.run_folder.recording.churn import BACK, LOST
 
 #: The node whose metrics and tables become those of the run; every scenario has one of this name.
@@ -282,9 +283,7 @@ def _decode(code: int, data: bytes, strings: list[int]) -> Any:
         if not {*map(type, items)} <= {str}:
             raise MessageError("a result: found a column of text that holds something else")
         strings[0] -= len(items)
-        column = np.empty(len(items), dtype=object)
-        column[:] = items
-        return column
+        return text(items)
     if code != _ARRAY:
         raise MessageError(f"a result: found extension {code}, expected an array")
     dtype, shape, raw = _flat(data, 3, inner=1)

@@ -36,7 +36,7 @@ from mast_zenoh.messages.layout import (
 )
 from mast_zenoh.messages.limits import NO_LIMITS, RowChoice, RowLimits
 from mast_zenoh.messages.packed import CODECS, Packed, sent_body, unpack_body
-from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Header, Message, Schema
+from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Header, Message, Schema, text
 
 _HEADER_KEYS = ("schema", "version", "source", "frame", "time_ns", "seq", "body")
 _HEADER_NAMES = frozenset(_HEADER_KEYS)
@@ -344,9 +344,7 @@ def _array_of(schema: str, column: Column, packed: Any, sizes: dict[str, int]) -
         if not isinstance(data, list) or [len(data)] != shape:
             raise MessageError(f"{schema}.{column.name}: not a list of {shape[0]} short strings")
         _check_strings(schema, column, data)
-        strings = np.empty(len(data), dtype=object)
-        strings[:] = data
-        return strings
+        return text(data)
     wire = WIRE_DTYPE[column.dtype]
     if not isinstance(data, bytes) or len(data) != prod(shape) * wire.itemsize:
         raise MessageError(f"{schema}.{column.name}: data do not fill the shape {shape}")

@@ -37,11 +37,15 @@ def longest(column: Any) -> int:
         kind = kind.value_type
     if pyarrow.types.is_null(kind):
         return 0
-    known = (pyarrow.types.is_string, pyarrow.types.is_large_string, pyarrow.types.is_binary)
-    if not any(is_known(kind) for is_known in known):
+    if not _is_text(kind):
         raise pyarrow.ArrowInvalid(f"found a column of {column.type}, expected text")
     texts = (chunk.dictionary if pyarrow.types.is_dictionary(column.type) else chunk for chunk in column.chunks)
     return max((_longest(part) for part in texts), default=0)
+
+
+def _is_text(kind: Any) -> bool:
+    types = pyarrow.types
+    return bool(types.is_string(kind) or types.is_large_string(kind) or types.is_binary(kind))
 
 
 def _longest(part: Any) -> int:
@@ -126,8 +130,7 @@ def _check_messages(file: Any, max_bytes: int) -> None:
             size += _unpacked_message(message.metadata.to_pybytes(), message.body, columns)
         except (struct.error, TypeError, IndexError) as error:
             raise pyarrow.ArrowInvalid(f"a damaged {message.type}: {error}") from None
-        if size > max_bytes:
-            raise pyarrow.ArrowInvalid(f"found {size} bytes unpacked or more, expected at most {max_bytes}")
+        _check(size, max_bytes)
 
 
 def _unpacked_message(metadata: bytes, body: Any, columns: int) -> int:
@@ -228,7 +231,7 @@ def _read_bounded(
         size = _unpacked_size(path, file.schema, wanted, [footer.groups[group] for group in groups], max_bytes)
         schema = file.schema_arrow
         repeating = {file.schema.column(index).path for index in wanted} if file.metadata.num_rows else set()
-        texts = sorted(name for name in repeating if name in schema.names and _is_text(schema, name))
+        texts = sorted(name for name in repeating if name in schema.names and _is_text(schema.field(name).type))
         if not texts:
             return file.read_row_groups(groups, columns=None if columns is None else list(columns))
     # As a dictionary, a text that repeats is in memory once. It is expanded only when the size is known.
@@ -242,11 +245,6 @@ def _read_bounded(
         if column.type != kind:
             table = table.set_column(table.column_names.index(name), schema.field(name), column.cast(kind))
     return table
-
-
-def _is_text(schema: Any, name: str) -> bool:
-    kind = schema.field(name).type
-    return bool(pyarrow.types.is_string(kind) or pyarrow.types.is_binary(kind) or pyarrow.types.is_large_string(kind))
 
 
 def _check(size: int, max_bytes: int) -> None:

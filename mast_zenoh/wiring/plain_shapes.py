@@ -29,13 +29,8 @@ class Name:
     """A string that `is_name` accepts."""
 
 
-def check_shape(content: Any, shape: Any) -> None:
-    """Raise ValueError, with the place, for content of another shape."""
-    _check(content, shape, "")
-
-
-def _check(value: Any, shape: Any, place: str) -> None:
-    """Raise ValueError, with the place, for a value of another shape."""
+def check_shape(value: Any, shape: Any, place: str = "") -> None:
+    """Raise ValueError, with the place, for a value of another shape. place: of the value in what is checked"""
     if value is None and place:
         return
     expected: str | None = None
@@ -47,7 +42,7 @@ def _check(value: Any, shape: Any, place: str) -> None:
     elif isinstance(shape, list):
         if isinstance(value, list):
             for index, item in enumerate(value):
-                _check(item, shape[0], f"{place}[{index}]")
+                check_shape(item, shape[0], f"{place}[{index}]")
         else:
             expected = "a list"
     elif shape is Name:
@@ -67,4 +62,4 @@ def _check_object(value: dict[str, Any], shape: dict[str, Any], place: str) -> N
             raise ValueError(f"{place.lstrip('.')}: found {key!r:.60} as a name, {EXPECTED_NAME}")
         inner = shape.get(key, shape.get(ANY, shape.get(NAMED)))
         if inner is not None:
-            _check(item, inner, f"{place}.{key:.60}")
+            check_shape(item, inner, f"{place}.{key:.60}")

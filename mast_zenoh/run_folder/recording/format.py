@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mast_zenoh.messages import user_types
+from mast_zenoh.messages.layout import DTYPE_NAME
 from mast_zenoh.messages.schemas import BUILT_IN, Column, Schema
 from mast_zenoh.run_folder import parse_json
-from mast_zenoh.wiring.model import TAP
+from mast_zenoh.wiring.model import wire_key
 
 PROFILE = "mast-zenoh"
 ENCODING = "msgpack"
@@ -22,17 +23,10 @@ DEFINITION = "definition"
 #: Last part of the topic for messages of a key without a valid header.
 MALFORMED = "@malformed"
 
-_DTYPE = {"float64": "<f8", "int64": "<i8", "int32": "<i4", "uint8": "|u1", "str": "str"}
-
-
-def wire_of(key: str) -> str:
-    """The wire's key, from the key of any of its legs."""
-    return key.split(f"/{TAP}/", 1)[0]
-
 
 def wire_and_key(key: str) -> tuple[str, str]:
     """Sort key of keys: by wire, each before its tap legs."""
-    return wire_of(key), key
+    return wire_key(key), key
 
 
 def metadata(key: str, message: str, publisher: str, *, malformed: bool) -> dict[str, str]:
@@ -40,7 +34,7 @@ def metadata(key: str, message: str, publisher: str, *, malformed: bool) -> dict
 
     publisher: the wire's publisher, which headers name, also on legs after an interposer
     """
-    wire = wire_of(key)
+    wire = wire_key(key)
     flags = {"tap": wire != key, "malformed": malformed}
     values = {"wire": wire, "publisher": publisher, "message": message}
     return values | {name: "true" if flag else "false" for name, flag in flags.items()}
@@ -97,7 +91,7 @@ def _column(column: Column) -> dict[str, Any]:
     }
     return {
         "type": "array",
-        "prefixItems": [{"const": _DTYPE[column.dtype]}, shape, data],
+        "prefixItems": [{"const": DTYPE_NAME[column.dtype]}, shape, data],
         "description": column.meaning,
         "unit": column.unit,
     }
