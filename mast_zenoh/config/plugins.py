@@ -303,7 +303,7 @@ def _clash(cls: type, packages: Collection[str]) -> str:
     """
     short: str | None = vars(cls).get("short_name")
     for base in filter(_is_ours, cls.__mro__):
-        for other in (base, *_subclasses(base)):
+        for other in (base, *subclasses(base)):
             if other is cls or _package(other.__module__) not in packages:
                 continue
             place = f"{other.__module__}.{other.__name__}"
@@ -314,8 +314,9 @@ def _clash(cls: type, packages: Collection[str]) -> str:
     return ""
 
 
-def _subclasses(base: type) -> Iterator[type]:
-    subclasses: list[type] = base.__subclasses__()
-    for subclass in subclasses:
+def subclasses(base: type) -> Iterator[type[Any]]:
+    """All classes that derive from one."""
+    direct: list[type[Any]] = base.__subclasses__()
+    for subclass in direct:
         yield subclass
-        yield from _subclasses(subclass)
+        yield from subclasses(subclass)

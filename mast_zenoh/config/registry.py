@@ -76,14 +76,6 @@ def _concrete(base: type, refused: Collection[str]) -> dict[str, type]:
     return classes
 
 
-def _abstract(base: type, name: str) -> type[Any] | None:
-    """The subclass of this name that lacks methods; None if there is none."""
-    subclasses: list[type] = base.__subclasses__()
-    if name in (classes := {cls.__name__: cls for cls in subclasses if inspect.isabstract(cls)}):
-        return classes[name]
-    return next((cls for each in subclasses if (cls := _abstract(each, name)) is not None), None)
-
-
 def build(spec: object, base: type, path: str) -> Any:
     """Build the object that `spec` describes, of a subclass of `base`.
 
@@ -101,10 +93,11 @@ def build(spec: object, base: type, path: str) -> Any:
     if isinstance(name, ClassName) and issubclass(name.cls, base):
         classes = {name: name.cls}  # several classes may have this name
     if not isinstance(name, str) or name not in classes:
-        if (unfinished := _abstract(base, str(name))) is not None:
-            methods = ", ".join(sorted(unfinished.__abstractmethods__))
-            problem = f"{name} does not define {methods}, expected of every {base.__name__}"
-            raise ConfigurationError(f"{path}.type: {problem}")
+        for unfinished in plugins.subclasses(base):
+            if unfinished.__name__ == name and inspect.isabstract(unfinished):
+                methods = ", ".join(sorted(unfinished.__abstractmethods__))
+                problem = f"{name} does not define {methods}, expected of every {base.__name__}"
+                raise ConfigurationError(f"{path}.type: {problem}")
         raise plugins.not_found(f"{path}.type: no {base.__name__} named {name!r}", str(name), classes)
     return construct(classes[name], {key: value for key, value in spec.items() if key != "type"}, path)
 
