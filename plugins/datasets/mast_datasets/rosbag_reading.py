@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from abc import ABC, abstractmethod
 from array import array
@@ -13,6 +14,7 @@ from typing import Any, Generic, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 from mast_ros2 import type_store
+from mast_ros2.frame_transforms import slerp
 from mast_ros2.object_ids import id_of_text, id_of_uuid
 from mast_ros2.received_objects import ReceivedObjects, received_detections, received_tracks
 from mast_ros2.received_poses import POSES, stamped_poses
@@ -24,7 +26,7 @@ from mast_datasets.rosbag import BagMap, DetectionsEntry, FramePose, TopicSource
 from mast_datasets.rosbag_storage import Bag, Decode, Fields, OwnType, known_decoder, parse_definition
 from mast_datasets.traffic import MAX_BOXES
 from mast_zenoh.arrays.geometry import heading, quaternion_from_rotation, rotation_from_quaternion, rotation_from_yaw
-from mast_zenoh.arrays.states import DETECTION_COLUMNS, Bools, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.arrays.states import Bools, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, MessageError, SceneError, nearest
 
 #: Limit on the messages of all mapped topics.
@@ -33,7 +35,6 @@ _MAX_REMARKS = 20  # that are told apart, of one topic
 _MAX_DETECTED = 1000
 _MAX_OBJECTS = 20_000  # of a topic with lists, by their ids
 _MAX_NS = 2**61
-_DETECTION = 18  # numbers of a detection
 _UUID = re.compile("-?".join(f"[0-9a-fA-F]{{{count}}}" for count in (8, 4, 4, 4, 12)))
 _TYPES_OF_DETECTIONS = (type_store.DETECTIONS, type_store.DETECTED_OBJECTS)
 _TYPES_OF_TRUTH = (type_store.TRACKED_OBJECTS, type_store.DETECTIONS)
@@ -66,19 +67,8 @@ class PoseTrack(NamedTuple):
         known = (since == 0) | ((since > 0) & (since <= span) & (span <= max_gap_ns))
         share = np.where(known & (since > 0), since / np.maximum(span, 1), 0.0)[:, None]
         position = (1.0 - share) * self.position[before] + share * self.position[after]
-        rotation = rotation_from_quaternion(_slerp(self.quaternion[before], self.quaternion[after], share))
+        rotation = rotation_from_quaternion(slerp(self.quaternion[before], self.quaternion[after], share))
         return PosesAt(position, rotation, np.asarray(known))
-
-
-def _slerp(first: Floats, second: Floats, share: Floats) -> Floats:
-    """Quaternions (n, 4) at shares (n, 1) of the way between two, the short way."""
-    cosine = np.sum(first * second, axis=1, keepdims=True)
-    second = np.where(cosine < 0.0, -second, second)
-    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    near = angle < 1e-4  # there, both ways are the same, and the sine is 0
-    sine = np.where(near, 1.0, np.sin(angle))
-    weights = [np.where(near, part, np.sin(part * angle) / sine) for part in (1.0 - share, share)]
-    return np.asarray(weights[0] * first + weights[1] * second)
 
 
 Entry = TypeVar("Entry", bound=TopicSource)
@@ -262,7 +252,7 @@ class DetectionReader(TopicReader[DetectionsEntry]):
     def __init__(self, source: DetectionsEntry, place: str, bag_map: BagMap) -> None:
         super().__init__(source, place, bag_map)
         self._paths = source.fields.steps if source.fields else {}
-        self._times, self._counts, self._values = array("q"), array("q"), array("d")
+        self._times, self._found, self._total = array("q"), list[Detections](), 0
 
     def decoder(self, bag: str, connection: Connection, types: Fields) -> Decode:
         if self._paths:
@@ -296,12 +286,11 @@ class DetectionReader(TopicReader[DetectionsEntry]):
         if near.any():
             self._leave_out(f"nearer than nearest_m, {self.source.nearest_m:g} m", int(near.sum()))
             found = found.select(np.flatnonzero(~near))
-        if len(self._values) > MAX_BOXES * _DETECTION:
-            raise SceneError(f"{self.source.topic}: found more than {MAX_BOXES} detections, expected at most as many")
         self._times.append(self._time(received.time_ns, received_ns))
-        self._counts.append(len(found))
-        for columns in zip(*(getattr(found, name) for name in DETECTION_COLUMNS), strict=True):
-            self._values.extend(np.hstack([np.ravel(column) for column in columns]).tolist())
+        self._found.append(found)
+        self._total += len(found)
+        if self._total > MAX_BOXES:
+            raise SceneError(f"{self.source.topic}: found more than {MAX_BOXES} detections, expected at most as many")
 
     def _converted(self, message: Any) -> Any:
         """What has the fields of a Detection3DArray, of a message of another type."""
@@ -339,14 +328,11 @@ class DetectionReader(TopicReader[DetectionsEntry]):
 
     def measured(self) -> SensorMeasurements:
         """All measurements, by time."""
-        times, count = np.frombuffer(self._times, np.int64), np.frombuffer(self._counts, np.int64)
-        order, first = np.argsort(times, kind="stable"), np.cumsum(count) - count
-        values = np.frombuffer(self._values, np.float64).reshape(-1, _DETECTION)
-        position, size, yaw, score, class_id, covariance = np.split(values, [3, 6, 7, 8, 9], axis=1)
-        detections = Detections(
-            position, size, yaw[:, 0], score[:, 0], class_id[:, 0].astype(np.uint8), covariance.reshape(-1, 3, 3)
-        )
-        rows = [slice(first[row], first[row] + count[row]) for row in order.tolist()]
+        times = np.frombuffer(self._times, np.int64)
+        order = np.argsort(times, kind="stable")
+        detections = Detections.joined([Detections.empty(), *(self._found[row] for row in order.tolist())])
+        ends = np.cumsum([0, *(len(self._found[row]) for row in order.tolist())]).tolist()
+        rows = [slice(first, end) for first, end in itertools.pairwise(ends)]
         return SensorMeasurements(times[order], rows, detections, self._frames.get(self.source.frame))
 
 

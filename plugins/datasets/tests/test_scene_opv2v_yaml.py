@@ -92,8 +92,7 @@ def test_a_file_cannot_run_anything(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("a: 1\na: 2", "found the key a twice at line 2"),
-        ("? [1]\n: 2", "unhashable type: 'list'"),
+        ("? [1]\n: 2", "found unhashable key at line 1"),
         ("&a [*a]", "found unconstructable recursive node at line 1"),
         ("a: !!set {1}", "tag 'tag:yaml.org,2002:set' at line 1"),
         ("a: !!int 1", "tag 'tag:yaml.org,2002:int' at line 1"),
@@ -127,7 +126,7 @@ def test_what_aliases_repeat_is_not_copied_and_not_shown(tmp_path: Path) -> None
         ("- 4\n    - 4\n", "- 4\n    - 5\n", r"found no NumPy value: 128 bytes, expected 20 of 8 at line \d+"),
         ("- 4\n    - 4\n", "- 0\n    - 100000000\n", "an array of shape .*, expected at most 64 numbers"),
         ("- 4\n    - 4\n", "- 4\n    - x\n", "found no NumPy value"),
-        ("- f8", "- O8", "numbers of type O8, expected one of b1"),
+        ("- f8", "- O8", "found no NumPy value"),
         ("- <", "- '?'", "found no NumPy value"),
         ("numpy.ndarray", "numpy.matrix", "tag .*name:numpy.matrix"),
         ("multiarray._reconstruct", "multiarray.fromfile", r"tag .*fromfile' at line \d+"),

@@ -72,28 +72,20 @@ class Connection:
         return {"router": self.router, "domain": self.domain, **({"tls": tls} if tls else {})}
 
 
-@dataclass(frozen=True, slots=True)
-class BridgeConfig:
-    """What a scenario says of ROS 2: where, also for its nodes of ROS 2, and how the bridge sends it.
+def connection_of_scenario(config: Any, place: str) -> Connection:
+    """The connection in the part `ros2` of a scenario, which is also that of its nodes of ROS 2.
 
-    every_frame: in lock-step, send all frames, and not only as many as cost the run nothing
+    config: besides the keys of a connection, `every_frame`: in lock-step, the bridge sends all frames, and not only as
+            many as cost the run nothing
+
+    Raises ConfigurationError as `Connection.of` does.
     """
-
-    connection: Connection
-    every_frame: bool = False
-
-    @classmethod
-    def of(cls, config: Any, place: str) -> Self:
-        """From the part `ros2` of a scenario: the keys of a connection, and `every_frame`.
-
-        Raises ConfigurationError as `Connection.of` does.
-        """
-        known = [*(field.name for field in fields(Connection)), "every_frame"]
-        given = dict(_dict(config, known, place))
-        every_frame = given.pop("every_frame", False)
-        if type(every_frame) is not bool:
-            raise ConfigurationError(f"{place}.every_frame: found {every_frame!r:.120}, expected True or False")
-        return cls(Connection.of(given, place), every_frame)
+    known = [*(field.name for field in fields(Connection)), "every_frame"]
+    given = dict(_dict(config, known, place))
+    every_frame = given.pop("every_frame", False)
+    if type(every_frame) is not bool:
+        raise ConfigurationError(f"{place}.every_frame: found {every_frame!r:.120}, expected True or False")
+    return Connection.of(given, place)
 
 
 def _tls(config: Any, place: str) -> Tls:

@@ -141,11 +141,15 @@ def between(earlier: Placement, later: Placement, fraction: float) -> Placement:
     """Interpolated: positions on a line, rotations on the shortest arc. fraction: 0 to 1"""
     position = earlier.position + fraction * (later.position - earlier.position)
     one, other = (each.rotation / np.linalg.norm(each.rotation) for each in (earlier, later))
-    cosine = float(one @ other)
-    if cosine < 0.0:
-        other, cosine = -other, -cosine
-    angle = float(np.arccos(min(1.0, cosine)))
-    if angle < 1e-6:
-        return Placement(position, one)
-    weights = np.sin(np.array([1.0 - fraction, fraction]) * angle) / np.sin(angle)
-    return Placement(position, weights[0] * one + weights[1] * other)
+    return Placement(position, slerp(one[None], other[None], np.array([[fraction]]))[0])
+
+
+def slerp(first: Floats, second: Floats, share: Floats) -> Floats:
+    """Quaternions (n, 4) at shares (n, 1) of the way between two, the short way."""
+    cosine = np.sum(first * second, axis=1, keepdims=True)
+    second = np.where(cosine < 0.0, -second, second)
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    near = angle < 1e-4  # there, both ways are the same, and the sine is 0
+    sine = np.where(near, 1.0, np.sin(angle))
+    weights = [np.where(near, part, np.sin(part * angle) / sine) for part in (1.0 - share, share)]
+    return np.asarray(weights[0] * first + weights[1] * second)

@@ -12,6 +12,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from inspect import signature
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -303,7 +304,7 @@ def intercept_topic(
             participant.subscribe_bytes(odometry, type_store.ODOMETRY, keep(type_store.ODOMETRY))
         participant.subscribe_bytes(topic + BEFORE, type_name, keep(type_name))
         ready()
-        warned = _Once(warn)
+        warned = cache(warn)  # each sentence once
         with suppress(KeyboardInterrupt):
             while not stop.is_set():
                 _watch(participant, topic, warned)
@@ -324,19 +325,6 @@ def intercept_topic(
         warn(f"{odometry}: no odometry was used{reason}")
     by_reason = {"unattacked": dict(unattacked), "refused": dict(participant.refused)}
     return counts | by_reason | {"failed": interposer.failed}
-
-
-class _Once:
-    """Passes each warning on once."""
-
-    def __init__(self, warn: Callable[[str], None]) -> None:
-        self._warn = warn
-        self._said: set[str] = set()
-
-    def __call__(self, sentence: str) -> None:
-        if sentence not in self._said:
-            self._said.add(sentence)
-            self._warn(sentence)
 
 
 def _watch(participant: Participant, topic: str, warn: Callable[[str], None]) -> None:

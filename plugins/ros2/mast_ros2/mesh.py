@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from mast_ros2.connection import BridgeConfig
+from mast_ros2.connection import connection_of_scenario
 from mast_ros2.names import ros2_name
 from mast_zenoh.config.outside_meshes import OutsideMesh
 from mast_zenoh.config.resolved import NodeSpec
@@ -17,7 +17,7 @@ _CLOCK = "/clock"
 
 
 class Ros2Mesh(OutsideMesh):
-    """A router of rmw_zenoh, see `BridgeConfig`."""
+    """A router of rmw_zenoh, see `connection_of_scenario`."""
 
     key = "ros2"
     no_bridge = "ros2: no bridge: a single process has no mesh to observe; `mast ros2 RUN` plays the finished run"
@@ -25,7 +25,7 @@ class Ros2Mesh(OutsideMesh):
     @staticmethod
     def parameter(config: Any, place: str) -> Mapping[str, Any]:
         """The connection of nodes that name none."""
-        return BridgeConfig.of(config, place).connection.to_json()
+        return connection_of_scenario(config, place).to_json()
 
     @staticmethod
     def prepare(path: Path, nodes: Mapping[str, NodeSpec], partners: Mapping[str, NodeSpec]) -> None:

@@ -26,19 +26,6 @@ DETECTED_OBJECTS = "autoware_perception_msgs/msg/DetectedObjects"
 TRACKED_OBJECTS = "autoware_perception_msgs/msg/TrackedObjects"
 PREDICTED_OBJECTS = "autoware_perception_msgs/msg/PredictedObjects"
 
-#: What the conversions write and read.
-CONVERTED = (
-    TF_MESSAGE,
-    CLOCK,
-    ODOMETRY,
-    MARKER_ARRAY,
-    DIAGNOSTIC_ARRAY,
-    DETECTIONS,
-    DETECTED_OBJECTS,
-    TRACKED_OBJECTS,
-    PREDICTED_OBJECTS,
-)
-
 #: Largest number of elements of a sequence in a received message.
 MOST_ELEMENTS = 100_000
 

@@ -4,11 +4,19 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from mast_ros2 import type_store
 from mast_ros2.type_store import STORE, TYPES, decode, encode
 from rosbags.interfaces import Nodetype
 
 from mast_zenoh.arrays.states import CLASSES, ObjectStates
 from mast_zenoh.testing.outside import FakeLink
+
+#: What the conversions write and read.
+CONVERTED = (
+    *(type_store.TF_MESSAGE, type_store.CLOCK, type_store.ODOMETRY, type_store.MARKER_ARRAY),
+    *(type_store.DIAGNOSTIC_ARRAY, type_store.DETECTIONS, type_store.DETECTED_OBJECTS),
+    *(type_store.TRACKED_OBJECTS, type_store.PREDICTED_OBJECTS),
+)
 
 TEXTS = ("", "a", "world", "über", "中文", "x" * 300)
 #: rosbags has a byte for a signed number: those that are used are small.

@@ -13,6 +13,7 @@ from mast_ros2.liveliness_tokens import ENDPOINTS, EndpointToken, NodeToken, all
 from mast_ros2.names import NO_HASH, check_topic, dds_type, demangle, mangle
 from mast_ros2.qos import Qos
 from ros2_keys import parse_data_key
+from ros2_messages import CONVERTED
 
 from mast_zenoh.errors import MessageError
 
@@ -85,7 +86,7 @@ def test_data_keys_and_names_are_those_of_pamoja(pamoja: Any, domain: int, topic
     assert pamoja.entity_key(domain, topic, type_name, STRING_HASH) == ours
 
 
-@pytest.mark.parametrize("type_name", type_store.CONVERTED)
+@pytest.mark.parametrize("type_name", CONVERTED)
 def test_data_keys_of_all_types_are_those_of_pamoja_and_the_sdk(pamoja: Any, sdk: Any, type_name: str) -> None:
     ours = DataKey.of(3, "/a/b", type_name).write()
     type_hash = type_store.type_hash(type_name)
@@ -320,5 +321,5 @@ def test_the_key_of_all_tokens_includes_each_of_a_domain() -> None:
 def test_written_keys_are_key_expressions_of_zenoh() -> None:
     zenoh = pytest.importorskip("zenoh")
     random = np.random.default_rng(1)
-    for type_name in type_store.CONVERTED:
+    for type_name in CONVERTED:
         zenoh.KeyExpr(DataKey.of(int(random.integers(100)), "/mast/agent_1/tracks", type_name).write())

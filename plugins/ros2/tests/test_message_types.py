@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from mast_ros2 import type_store
 from mast_ros2.definitions import DEFINITIONS
-from ros2_messages import plain, random_message
+from ros2_messages import CONVERTED, plain, random_message
 from rosbags.typesys import Stores, get_typestore
 
 from mast_zenoh.errors import MessageError
 
 STRING = "std_msgs/msg/String"
-TYPES = (STRING, *type_store.CONVERTED)
+TYPES = (STRING, *CONVERTED)
 of_all = pytest.mark.parametrize("type_name", TYPES)
 
 #: Of ROS (the first four are in rmw_zenoh's documents and in programs that speak with it), and of Autoware's
