@@ -17,8 +17,8 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from mast_datasets.archive import unpack
-from mast_datasets.files import Coordinate, Element, Point, read_json
-from mast_datasets.traffic import ABOVE_0, DataSetScene, boxes_of, check_steps, closed_outline
+from mast_datasets.files import Coordinate, Element, Point, closed_outline, read_json
+from mast_datasets.traffic import ABOVE_0, DataSetScene, boxes_of, check_steps
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -291,7 +291,7 @@ def read_buildings(path: Path | None, scene: Path | None) -> tuple[tuple[Floats,
     outlines = []
     for polygon in read_json(path).elements() if path else ():
         corners = np.array(polygon.read(list[tuple[Coordinate, Coordinate]]))
-        outlines.append(closed_outline(corners, polygon.fail))
+        outlines.append(closed_outline(corners, polygon))
     return tuple(outlines), np.full(len(outlines), _DEFAULT_HEIGHT_M if height is None else height.read(Coordinate))
 
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
-from mast_datasets.files import find_file
+from mast_datasets.files import Coordinate, Element, closed_outline, find_file
 from mast_datasets.traffic import (
     HEIGHT_OF_CLASS,
     TrafficScene,
     busiest_vehicle,
     classes_of,
-    closed_outline,
     ego_in_traffic,
     ground_below,
 )
@@ -26,8 +26,11 @@ from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
 from mast_zenoh.scenes.making.virtual_agents import VEHICLE_CLASSES
 from mast_zenoh.scenes.recording import Recording
 
-_MAX_COORDINATE_M = 1e8
-_MAX_SIZE_M = 1000.0
+_Angle = Annotated[float, Meta(ge=-1e3, le=1e3)]  # rad
+_Speed = Annotated[float, Meta(ge=-200, le=200)]  # m/s
+_Side = Annotated[float, Meta(gt=0, le=1000)]  # m
+_Id = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+_Step = Annotated[int, Meta(ge=0, le=100_000)]  # number of a time step
 _SHAPES = ("rectangle", "circle", "polygon")
 
 
@@ -42,42 +45,39 @@ class Outline(NamedTuple):
     yaw: float
 
 
-def read_outline(shape: XmlElement) -> Outline:
+def read_outline(shape: Element) -> Outline:
     """The box around the only shape of an obstacle: a rectangle, or the box of a circle or polygon."""
-    if len(shape.children) != 1 or shape.children[0].tag not in _SHAPES:
-        names = ", ".join(child.tag for child in shape.children[:10]) or "nothing"
-        shape.fail(f"found {names}, expected one of {', '.join(_SHAPES)}")
-    (part,) = shape.children
-    if part.tag == "polygon":
+    kinds = [kind for kind in _SHAPES if shape.get(kind)]
+    if len(kinds) != 1:
+        shape.fail(f"one of {', '.join(_SHAPES)}")
+    part = shape[kinds[0]]
+    if kinds == ["polygon"]:
         corners = read_polygon(part)
         low, high = corners.min(axis=0), corners.max(axis=0)
         if (high <= low).any():
-            part.fail("found a polygon without area, expected one with")
+            part.fail("a polygon with an area")
         return Outline(high - low, (low + high) / 2, 0.0)
-    centre = part.get_child("center")
+    centre = part.get("center")
     middle = np.zeros(2) if centre is None else read_point(centre)
-    if part.tag == "circle":
-        return Outline(np.full(2, 2 * part.child("radius").text.positive(_MAX_SIZE_M)), middle, 0.0)
-    angle = part.get_child("orientation")
-    yaw = 0.0 if angle is None else angle.text.number(-1e3, 1e3)
-    size = np.array([part.child(side).text.positive(_MAX_SIZE_M) for side in ("length", "width")])
-    return Outline(size, middle, yaw)
+    if kinds == ["circle"]:
+        return Outline(np.full(2, 2 * part["radius"].read(_Side)), middle, 0.0)
+    angle = part.get("orientation")
+    size = np.array([part[side].read(_Side) for side in ("length", "width")])
+    return Outline(size, middle, 0.0 if angle is None else angle.read(_Angle))
 
 
-def read_polygon(polygon: XmlElement) -> Floats:
+def read_polygon(polygon: Element) -> Floats:
     """Corners (k, 2) m of a polygon, without repeating the first."""
-    corners = np.array([read_point(child) for child in polygon.children if child.tag == "point"]).reshape(-1, 2)
-    return closed_outline(corners, polygon.fail)
+    return closed_outline(np.array([read_point(point) for point in polygon["point"].elements()]), polygon)
 
 
-def read_point(point: XmlElement) -> Floats:
+def read_point(point: Element) -> Floats:
     """(2,) m of an element with <x> and <y>."""
-    return np.array([point.child(axis).text.number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M) for axis in ("x", "y")])
+    return np.array([point[axis].read(Coordinate) for axis in "xy"])
 
 
 _VERSIONS = ("2018b", "2020a")
 _TAGS = ("obstacle", "dynamicObstacle", "staticObstacle", "environmentObstacle", "phantomObstacle")
-_MAX_STEP = 100_000  # number of the last time step
 
 CLASS_OF_TYPE = classes_of(
     car="car taxi priorityVehicle parkedVehicle",
@@ -114,20 +114,20 @@ def read_scenario(path: Path) -> ScenarioFile:
     root = next(elements, None)
     if root is None:
         raise SceneError(f"{path}: found no element, expected <commonRoad>")
-    root.attribute("commonRoadVersion").text(_VERSIONS)
-    step_s = root.attribute("timeStepSize").number(1e-3, 10.0)
-    name = root.attribute("benchmarkID").text()
+    root["commonRoadVersion"].text(_VERSIONS)
+    step_s = root["timeStepSize"].read(Annotated[float, Meta(ge=1e-3, le=10)])
+    name = root["benchmarkID"].text()
     obstacles: dict[int, Obstacle] = {}
     buildings: list[Floats] = []
     for element in elements:
-        kind = element.child("type").text if element.tag != "phantomObstacle" else None
+        kind = element["type"] if element.tag != "phantomObstacle" else None
         if kind and element.tag == "environmentObstacle":
             if kind.text() == "building":
-                buildings.append(read_polygon(element.child("shape").child("polygon")))
+                buildings.append(read_polygon(element["shape"]["polygon"]))
         elif kind and kind.text((*CLASS_OF_TYPE, *LEFT_OUT)) not in LEFT_OUT:
-            number = element.attribute("id").integer()
+            number = element["id"].read(_Id)
             if number in obstacles:
-                element.fail(f"id {number} occurs twice, expected it once")
+                element.refuse(f"id {number} occurs twice, expected it once")
             obstacles[number] = _obstacle(element, number, CLASS_OF_TYPE[kind.text()])
     return ScenarioFile(name, step_s, obstacles, buildings)
 
@@ -135,14 +135,14 @@ def read_scenario(path: Path) -> ScenarioFile:
 def _obstacle(element: XmlElement, number: int, class_id: int) -> Obstacle:
     moving = element.tag == "dynamicObstacle"
     if element.tag == "obstacle":  # 2018b
-        moving = element.child("role").text.text(("dynamic", "static")) == "dynamic"
-    outline = read_outline(element.child("shape"))
-    states = list(_states(element, moving))
-    steps = [state.child("time").child("exact").text.integer(0, _MAX_STEP) for state in states]
+        moving = element["role"].text(("dynamic", "static")) == "dynamic"
+    outline = read_outline(element["shape"])
+    states = _states(element, moving)
+    steps = [state["time"]["exact"].read(_Step) for state in states]
     first = steps[0]
     for step, expected, state in zip(steps, range(first, first + len(steps)), states, strict=True):
         if step != expected:
-            state.child("time").fail(f"found time step {step}, expected {expected}: the next one")
+            state["time"]["exact"].fail(f"{expected}, the next time step")
     position, yaw = _poses(states, outline)
     velocity = _velocities(states, yaw - outline.yaw) if moving else np.zeros((1, 2))
     height, none = HEIGHT_OF_CLASS[class_id], np.zeros((len(states), 1))
@@ -152,34 +152,30 @@ def _obstacle(element: XmlElement, number: int, class_id: int) -> Obstacle:
     return Obstacle(moving, replace(boxes, frame=first + boxes.frame, velocity=velocity))
 
 
-def _states(element: XmlElement, moving: bool) -> Iterator[XmlElement]:
-    yield element.child("initialState")
+def _states(element: Element, moving: bool) -> list[Element]:
     if not moving:
-        return
-    if element.get_child("occupancySet") is not None:
-        element.fail("found <occupancySet>, expected <trajectory>: sets of possible positions are no truth")
-    for state in element.child("trajectory").children:
-        if state.tag != "state":
-            state.fail("found this element in a trajectory, expected <state>")
-        yield state
+        return [element["initialState"]]
+    if element.get("occupancySet"):
+        element.fail("a trajectory, not an occupancySet: sets of possible positions are no truth")
+    return [element["initialState"], *element["trajectory"].several("state")]
 
 
-def _poses(states: list[XmlElement], outline: Outline) -> tuple[Floats, Floats]:
+def _poses(states: list[Element], outline: Outline) -> tuple[Floats, Floats]:
     """Position (K, 2) m of the middle of the box, and its yaw (K,) rad."""
-    origin = np.array([read_point(state.child("position").child("point")) for state in states])
-    angle = np.array([state.child("orientation").child("exact").text.number(-1e3, 1e3) for state in states])
+    origin = np.array([read_point(state["position"]["point"]) for state in states])
+    angle = np.array([state["orientation"]["exact"].read(_Angle) for state in states])
     x, y = outline.centre
     offset = np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)], axis=1)
     return origin + offset, angle + outline.yaw
 
 
-def _velocities(states: list[XmlElement], angle: Floats) -> Floats:
+def _velocities(states: list[Element], angle: Floats) -> Floats:
     """(K, 2) m/s: `velocity` along the orientation and, if there is one, `velocityY` to the left of it."""
     ahead, left = (
-        np.array([part.child("exact").text.number(-200.0, 200.0) if part else usual for part in parts])
+        np.array([part["exact"].read(_Speed) if part else usual for part in parts])
         for usual, parts in (
-            (np.nan, [state.get_child("velocity") for state in states]),
-            (0.0, [state.get_child("velocityY") for state in states]),
+            (np.nan, [state.get("velocity") for state in states]),
+            (0.0, [state.get("velocityY") for state in states]),
         )
     )
     x, y = ahead * np.cos(angle) - left * np.sin(angle), ahead * np.sin(angle) + left * np.cos(angle)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gzip
 import math
 import re
@@ -182,6 +181,11 @@ class Element:
         listed = self.value if isinstance(self.value, list) else self.fail("a list")
         return [Element(value, self.path, f"{self.place}[{index}]") for index, value in enumerate(listed)]
 
+    def several(self, key: str) -> list[Element]:
+        """The values under a key of an object, if there is a list; otherwise its only value, if it has one."""
+        value = self.get(key)
+        return [] if value is None else value.elements() if isinstance(value.value, list) else [value]
+
     def text(self, choices: Collection[str] = ()) -> str:
         """Text, one of the choices if there are any."""
         text: str = self.read(str)
@@ -220,33 +224,19 @@ def orthonormal(matrix: Floats, element: Element) -> Floats:
     return rotation
 
 
+def closed_outline(corners: Floats, element: Element) -> Floats:
+    """(k, 2) m, the corners of a polygon, without repeating the first. element: where it is from, for the message"""
+    if len(corners) > 1 and np.array_equal(corners[0], corners[-1]):
+        corners = corners[:-1]
+    return corners if len(corners) >= 3 else element.fail(f"3 different corners or more, not {len(corners)}")
+
+
 def read_json(path: Path) -> Element:
     """The content of a JSON file. Raises SceneError if it is missing, too large or not JSON."""
     try:
         return Element(msgspec.json.decode(read_text(path)), path)
     except (msgspec.DecodeError, RecursionError) as error:
         raise SceneError(f"{path}: not JSON: {error}") from error
-
-
-class TextElement(Element):
-    """A value that its file holds as text, with numbers as Python writes them; space around them is ignored."""
-
-    value: str
-
-    def number(self, low: float, high: float, kind: Callable[[str], float] = float) -> float:
-        """A number from `low` to `high`, both finite."""
-        with contextlib.suppress(ValueError):
-            if low <= (number := kind(self.value)) <= high:
-                return number
-        return self.fail(f"a {'whole' if kind is int else 'finite'} number from {low:g} to {high:g}")
-
-    def positive(self, high: float) -> float:
-        """A number above 0, at most `high`."""
-        return self.number(0.0, high) or self.fail("a size above 0")
-
-    def integer(self, low: int = 0, high: int = 2**63 - 1) -> int:
-        """A whole number from `low` to `high`."""
-        return int(self.number(low, high, int))
 
 
 _LAST = np.array([0.0, 0.0, 0.0, 1.0])

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from mast_datasets.files import Element, TextElement, choose_name, orthonormal, read_lines
+from mast_datasets.files import Element, choose_name, orthonormal, read_lines
 from mast_datasets.traffic import TrafficScene, boxes_of, classes_of, listed_returns
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
@@ -27,8 +27,6 @@ from mast_zenoh.sensing import Camera, LidarSensor
 _MAX_BYTES, _MAX_CALIBRATION_BYTES = 100_000_000, 1_000_000
 _EARTH_RADIUS_M = 6378137.0
 _OXTS_COLUMNS = 30
-#: Largest numbers of the first columns.
-_LIMITS = {"latitude": 89.0, "longitude": 180.0, "altitude": 1e5, "roll": 7.0, "pitch": 7.0, "yaw": 7.0}
 #: Columns of a label; a score may follow.
 _COLUMNS = (
     *("frame", "track", "type", "truncated", "occluded", "alpha", "left", "top", "right", "bottom"),
@@ -71,6 +69,11 @@ class Calibration(NamedTuple):
 
 _Place = Annotated[float, Meta(ge=-1e5, le=1e5)]  # m
 _Side = Annotated[float, Meta(gt=0, le=100)]  # m
+_Degrees = Annotated[float, Meta(ge=-180, le=180)]
+_Angle = Annotated[float, Meta(ge=-7, le=7)]  # rad
+#: Latitude, longitude, altitude, roll, pitch and yaw.
+_Pose = tuple[Annotated[float, Meta(ge=-89, le=89)], _Degrees, _Place, _Angle, _Angle, _Angle]
+_Number = Annotated[float, Meta(ge=-1e4, le=1e4)]  # of a matrix
 
 
 class _Label(Struct):
@@ -107,12 +110,12 @@ def read_labels(path: Path, frames: int) -> CameraLabels:
 
 def read_calibration(path: Path) -> Calibration:
     """Where the camera and the lidar are. Raises SceneError with file, line and name of the matrix."""
-    values: dict[str, list[TextElement]] = {}
+    values: dict[str, Element] = {}
     for number, fields in _rows(path, _MAX_CALIBRATION_BYTES):
         name = fields[0].rstrip(":")
         if name in values:
             raise SceneError(f"{path}: line {number}: found {name} twice, expected it once")
-        values[name] = [TextElement(text, path, f"line {number}: {name}") for text in fields[1:]]
+        values[name] = Element(fields[1:], path, f"line {number}: {name}")
     rectification, _ = _matrix(path, values, "rectification", 3)
     to_camera, camera_shift = _matrix(path, values, "lidar_to_camera", 4)
     to_lidar, lidar_shift = _matrix(path, values, "imu_to_lidar", 4)
@@ -122,16 +125,15 @@ def read_calibration(path: Path) -> Calibration:
     return Calibration(camera, lidar)
 
 
-def _matrix(path: Path, values: dict[str, list[TextElement]], what: str, columns: int) -> tuple[Floats, Floats]:
+def _matrix(path: Path, values: dict[str, Element], what: str, columns: int) -> tuple[Floats, Floats]:
     """Rotation (3, 3) and last column (3,) of a matrix of three rows."""
     names = [name for name in _MATRICES[what] if name in values]
     if len(names) != 1:
         raise SceneError(f"{path}: found {len(names)} of {' and '.join(_MATRICES[what])}, expected one of them")
-    numbers = values[names[0]]
-    if len(numbers) != 3 * columns:
-        raise SceneError(f"{path}: {names[0]}: found {len(numbers)} numbers, expected {3 * columns}")
-    matrix = np.array([number.number(-1e4, 1e4) for number in numbers]).reshape(3, columns)
-    return orthonormal(matrix[:, :3], numbers[0]), matrix[:, -1] if columns == 4 else np.zeros(3)
+    listed = values[names[0]]
+    numbers = listed.read(Annotated[list[_Number], Meta(min_length=3 * columns, max_length=3 * columns)])
+    matrix = np.array(numbers).reshape(3, columns)
+    return orthonormal(matrix[:, :3], listed), matrix[:, -1] if columns == 4 else np.zeros(3)
 
 
 def read_poses(path: Path) -> tuple[Floats, Floats]:
@@ -139,16 +141,13 @@ def read_poses(path: Path) -> tuple[Floats, Floats]:
 
     Positions are in the Mercator projection, scaled to metres at the first latitude, as in KITTI's development kit.
     """
-    rows: list[list[float]] = []
+    rows: list[tuple[float, ...]] = []
     for number, fields in _rows(path):
         if number != len(rows) + 1:  # the number of a line is that of its frame
             raise SceneError(f"{path}: line {len(rows) + 1}: found an empty line, expected the pose of a frame")
         if len(fields) != _OXTS_COLUMNS:
             raise SceneError(f"{path}: line {number}: found {len(fields)} values, expected {_OXTS_COLUMNS}")
-        named = zip(fields, _LIMITS.items(), strict=False)
-        rows.append(
-            [TextElement(text, path, f"line {number}: {name}").number(-limit, limit) for text, (name, limit) in named]
-        )
+        rows.append(Element(fields[:6], path, f"line {number}").read(_Pose))
     if not rows:
         raise SceneError(f"{path}: found no line, expected one for each frame")
     latitude, longitude, altitude, roll, pitch, yaw = np.array(rows).T

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
 from mast_datasets.files import Element, find_file
 from mast_datasets.sumo_files import (
@@ -29,7 +30,7 @@ from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
 from mast_zenoh.scenes.recording import Recording
 
 _MAX_ROWS = 2_000_000
-_MAX_TIME_S = 1e9
+_Time = Annotated[float, Meta(ge=0, le=1e9)]  # s
 _LONGEST_DEFAULT_S = 20.0
 _GAP = 1.5  # a step of time longer than this many times the shortest is a gap
 _NS = 1_000_000_000
@@ -62,7 +63,7 @@ def read_trace(file: Path, types: VehicleTypes, start_s: float | None, duration_
     length = round((_LONGEST_DEFAULT_S if duration_s is None else duration_s) * _NS)
     first = last = None
     for time, rows in read_steps(file):
-        now = round(time.number(0.0, _MAX_TIME_S) * _NS)
+        now = round(time.read(_Time) * _NS)
         if last is not None and now <= last:
             time.fail(f"a time later than the one before, {last / _NS:g}")
         first, last = now if first is None else first, now

@@ -12,8 +12,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from msgspec import Meta, Struct
 
-from mast_datasets.files import Coordinate, Element, TextElement, read_lines
-from mast_datasets.traffic import closed_outline
+from mast_datasets.files import Coordinate, Element, closed_outline, read_lines
 from mast_datasets.xml_files import XmlElement, read_xml
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError
@@ -30,8 +29,7 @@ _ALIASES = {
 }
 _TIME = "timestep_time"
 
-MAX_SIZE_M = 1000.0
-_Side = Annotated[float, Meta(gt=0, le=MAX_SIZE_M)] | None
+_Side = Annotated[float, Meta(gt=0, le=1000)]  # m
 
 
 class TraceRow(Struct):
@@ -45,13 +43,13 @@ class TraceRow(Struct):
     speed: Annotated[float, Meta(ge=-200, le=200)] | None = None
     type: str | None = None
     vehicle: str = ""
-    length: _Side = None
-    width: _Side = None
-    height: _Side = None
+    length: _Side | None = None
+    width: _Side | None = None
+    height: _Side | None = None
 
 
 #: A time, and for each object whether it is a person, and what can be read as a `Row`.
-Step = tuple[TextElement, list[tuple[bool, Element]]]
+Step = tuple[Element, list[tuple[bool, Element]]]
 
 
 def read_steps(file: Path) -> Iterator[Step]:
@@ -63,12 +61,11 @@ def read_steps(file: Path) -> Iterator[Step]:
         return
     for step in read_xml(file, "fcd-export", ("timestep",)):
         if step.tag == "timestep":
-            parts = [part for part in step.children if part.tag in ("vehicle", "person")]
-            rows = [(part.tag == "person", Element(part.attributes, file, part.place)) for part in parts]
-            yield step.attribute("time"), rows
+            kinds = ("vehicle", "person")
+            yield step["time"], [(kind == "person", row) for kind in kinds for row in step.several(kind)]
 
 
-def _csv_rows(file: Path) -> Iterator[tuple[TextElement, bool, Element]]:
+def _csv_rows(file: Path) -> Iterator[tuple[Element, bool, Element]]:
     """Time, whether it is a person, and the values by SUMO's names, of each row of a table.
 
     The columns are those of SUMO's tool xml2csv (timestep_time, vehicle_id, vehicle_x, …), or the same without
@@ -90,7 +87,7 @@ def _csv_rows(file: Path) -> Iterator[tuple[TextElement, bool, Element]]:
                 raise SceneError(f"{file}: {place}: found another number of fields, expected {len(names)}")
             person, columns = next((group for group in groups if row[group[1]["id"]]), (False, {}))
             values = {name: row[column].strip() for name, column in columns.items() if row[column].strip()}
-            yield TextElement(row[time], file, f"{place}: {time}"), person, Element(values, file, place)
+            yield Element(row[time].strip(), file, f"{place}: {time}"), person, Element(values, file, place)
     except csv.Error as error:
         raise SceneError(f"{file}: line {reader.line_num + 1}: not CSV: {error}") from error
 
@@ -189,18 +186,18 @@ def _read_types(files: Sequence[Path]) -> dict[str, VehicleType]:
         for element in read_xml(file, None, ("vType",)):
             if element.tag != "vType":
                 continue
-            name = element.attribute("id").text()
-            default = type_of_class(element.attributes.get("vClass", _DEFAULT_CLASS))
-            values = [element.get_attribute(side) for side in ("length", "width", "height")]
+            name = element["id"].text()
+            default = type_of_class(element.value.get("vClass", _DEFAULT_CLASS))
+            values = [element.get(side) for side in ("length", "width", "height")]
             parts = zip(values, default.size, strict=True)
-            length, width, height = (value.positive(MAX_SIZE_M) if value else usual for value, usual in parts)
+            length, width, height = (value.read(_Side) if value else usual for value, usual in parts)
             kind = VehicleType((length, width, height), default.class_id)
             if types.setdefault(name, kind) != kind:
-                element.fail(f"vType {name!r} is already defined with another size or class, expected it once")
+                element.refuse(f"vType {name!r} is already defined with another size or class, expected it once")
     return types
 
 
-_MAX_COORDINATE_M = 1e8
+_Corner = Annotated[list[Coordinate], Meta(min_length=2, max_length=3)]
 _MAX_HEIGHT_M = 1000.0
 _HEIGHT = re.compile(r"(\d{1,4}(?:\.\d{1,6})?)\s*m?", re.ASCII)
 
@@ -219,7 +216,7 @@ def read_buildings(
     outlines, heights = [], []
     for file in files:
         for element in read_xml(file, None, ("poly",)):
-            if element.tag != "poly" or not element.attributes.get("type", "").startswith("building"):
+            if element.tag != "poly" or not str(element.value.get("type")).startswith("building"):
                 continue
             outline = _outline(element)
             distance, _ = near.query(outline)
@@ -230,23 +227,19 @@ def read_buildings(
 
 
 def _outline(element: XmlElement) -> Floats:
-    if element.attributes.get("geo") in ("1", "true", "True"):
-        element.fail("found geo coordinates, expected positions in m: write the file with polyconvert and the network")
-    shape = element.attribute("shape")
-    points = shape.text().split()
-    return closed_outline(np.array([_point(text, shape) for text in points]), element.fail)
-
-
-def _point(text: str, shape: TextElement) -> list[float]:
-    numbers = [TextElement(number, shape.path, shape.place) for number in text.split(",")]
-    if len(numbers) not in (2, 3):
-        TextElement(text, shape.path, shape.place).fail("a point x,y or x,y,z")
-    return [number.number(-_MAX_COORDINATE_M, _MAX_COORDINATE_M) for number in numbers[:2]]
+    if element.value.get("geo") in ("1", "true", "True"):
+        element.refuse(
+            "found geo coordinates, expected positions in m: write the file with polyconvert and the network"
+        )
+    shape = element["shape"]
+    points = [point.split(",") for point in shape.text().split()]
+    corners = Element(points, shape.path, shape.place).read(list[_Corner])
+    return closed_outline(np.array([corner[:2] for corner in corners]).reshape(-1, 2), element)
 
 
 def _height(element: XmlElement, default: float) -> float:
-    for child in element.children:
-        match = _HEIGHT.fullmatch(child.attributes.get("value", "").strip())
-        if child.tag == "param" and child.attributes.get("key") == "height" and match and float(match[1]) > 0:
+    for parameter in element.several("param"):
+        match = _HEIGHT.fullmatch(parameter["value"].text().strip())
+        if parameter["key"].text() == "height" and match and float(match[1]) > 0:
             return min(float(match[1]), _MAX_HEIGHT_M)
     return default

@@ -18,15 +18,17 @@ import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
-from typing import IO, Any, BinaryIO, NamedTuple
+from typing import IO, Annotated, Any, BinaryIO, NamedTuple
 from xml.sax.saxutils import quoteattr
 from xml.sax.xmlreader import AttributesImpl
 
 import msgpack
 import numpy as np
+from msgspec import Meta
 
+from mast_datasets.files import Element
 from mast_datasets.sumo_process import MAX_MESSAGE
-from mast_datasets.xml_files import XmlElement, XmlHandler, read_xml
+from mast_datasets.xml_files import XmlHandler, read_xml
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 
@@ -37,7 +39,8 @@ MAX_BYTES = 200_000_000
 _MAX_FILES = 100
 _MAX_VALUE = 200  # characters of an option
 _MAX_DEPTH = 20
-_MAX_SCALE = 1000.0  # of the demand: SUMO prepares each vehicle that waits
+_Begin = Annotated[float, Meta(ge=0, le=1e7)]  # s
+_Scale = Annotated[float, Meta(ge=0, le=1000)]  # of the demand: SUMO prepares each vehicle that waits
 _SECTIONS_LEFT_OUT = ("output", "report", "gui_only")
 _FILES = {"net-file": "net", "route-files": "routes", "additional-files": "additional"}
 #: Options that decide about the traffic.
@@ -105,26 +108,27 @@ def read_configuration(path: Path) -> SumoInputs:
     options: dict[str, str] = {}
     files: dict[str, list[Path]] = {kind: [] for kind in _FILES.values()}
     begin_s = 0.0
-    for option in _options(path):
-        name = option.tag
+    for name, option in _options(path):
         if name in _FILES:
-            text = option.attribute("value").text()
+            text = option["value"].text()
             files[_FILES[name]] += [path.parent / part for part in text.replace(",", " ").split()]
         elif name in _OPTIONS:
-            value = option.attribute("value")
+            value = option["value"]
             if not 0 < len(value.text()) <= _MAX_VALUE or not value.text().isprintable():
                 value.fail(f"1 to {_MAX_VALUE} characters")
             if name == "begin":
-                begin_s = value.number(0.0, 1e7)
+                begin_s = value.read(_Begin)
             if name == "scale":
-                value.number(0.0, _MAX_SCALE)
+                value.read(_Scale)
             options[name] = value.text()
         elif name in _NOT_SUPPORTED:
-            if option.attribute("value").number(-1e7, 1e7) > 0.0:
-                option.fail(f"not supported: {_NOT_SUPPORTED[name]} ({name}), expected a configuration without them")
+            if option["value"].read(float) > 0.0:
+                reason = f"not supported: {_NOT_SUPPORTED[name]} ({name}), expected a configuration without them"
+                raise SceneError(f"{path}: {option.place}: {reason}")
         elif not name.startswith(_OWN):
             misspelt = difflib.get_close_matches(name, _OPTIONS, 1, cutoff=0.8)  # a name far from all is another option
-            option.fail(f"option {name} is not supported{nearest(name, _OPTIONS) if misspelt else ''}")
+            hint = nearest(name, _OPTIONS) if misspelt else ""
+            raise SceneError(f"{path}: {option.place}: option {name} is not supported{hint}")
     if len(files["net"]) != 1:
         raise SceneError(f"{path}: found {len(files['net'])} files in net-file, expected one")
     if sum(map(len, files.values())) > _MAX_FILES:
@@ -132,17 +136,17 @@ def read_configuration(path: Path) -> SumoInputs:
     return SumoInputs(path, begin_s, options, files["net"][0], files["routes"], files["additional"])
 
 
-def _options(path: Path) -> Iterator[XmlElement]:
-    """The options of a configuration, whether they are in sections or not."""
+def _options(path: Path) -> Iterator[tuple[str, Element]]:
+    """The options of a configuration by name, whether they are in sections or not."""
     elements = read_xml(path, None, None, 1_000_000)
     root = next(elements)
     if root.tag not in ROOTS:
-        root.fail(f"found this root, expected <{'> or <'.join(ROOTS)}>")
+        root.refuse(f"found this root, expected <{'> or <'.join(ROOTS)}>")
     for element in elements:
-        if "value" in element.attributes:
-            yield element
+        if "value" in element.value:
+            yield element.tag, element
         elif element.tag not in _SECTIONS_LEFT_OUT:
-            yield from element.children
+            yield from ((name, option) for name in element.value for option in element.several(name))
 
 
 def copy_input(path: Path, target: BinaryIO) -> None:

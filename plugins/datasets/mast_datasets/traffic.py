@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,13 +66,6 @@ def ground_below(boxes: SceneBoxes, own: int, position: Floats) -> tuple[Floats,
     row = boxes.rows_of(own)[0]
     origin = np.append(position[0, :2], boxes.position[row, 2] - boxes.size[row, 2] / 2)
     return origin, replace(boxes, position=boxes.position - origin)
-
-
-def closed_outline(corners: Floats, fail: Callable[[str], NoReturn]) -> Floats:
-    """(k, 2) m, the corners of a polygon, without repeating the first. fail: raises an error for fewer than 3"""
-    if len(corners) > 1 and np.array_equal(corners[0], corners[-1]):
-        corners = corners[:-1]
-    return corners if len(corners) >= 3 else fail(f"found {len(corners)} different corners, expected 3 or more")
 
 
 #: Of a number: any above 0.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 from xml.sax import SAXParseException
 from xml.sax.handler import ContentHandler
 from xml.sax.xmlreader import AttributesImpl
@@ -12,60 +12,36 @@ from xml.sax.xmlreader import AttributesImpl
 from defusedxml import DefusedXmlException  # type: ignore[import-untyped]
 from defusedxml.expatreader import DefusedExpatParser  # type: ignore[import-untyped]
 
-from mast_datasets.files import TextElement, read_pieces
+from mast_datasets.files import Element, read_pieces
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.detection_tables import MAX_FILE_BYTES
 
 _MAX_PARTS = 500_000  # elements within one that is read
-_MAX_NAMES = 12  # of elements or attributes in a message
 
 
-class XmlElement:
-    """An element of an XML file, with its attributes, its children and its line in the file.
+class XmlElement(Element):
+    """An element of an XML file.
 
-    All methods raise SceneError, which names file, line, what was found and what was expected.
+    value: its attributes and its children, by name: of a child alone its value, of several with a tag a list of these;
+           of a child with neither attributes nor children its text, without space around it
     """
 
-    def __init__(self, tag: str, attributes: dict[str, str], path: Path, line: int) -> None:
-        self.tag, self.attributes, self.path, self.line = tag, attributes, path, line
-        self.children: list[XmlElement] = []
+    def __init__(self, tag: str, attributes: dict[str, Any], path: Path, line: int) -> None:
+        super().__init__(attributes, path, f"line {line}: <{tag}>")
+        self.tag = tag
         self.pieces: list[str] = []
 
-    @property
-    def place(self) -> str:
-        """Line and tag, such as "line 7: <vehicle>"."""
-        return f"line {self.line}: <{self.tag}>"
-
-    def fail(self, reason: str) -> NoReturn:
+    def refuse(self, reason: str) -> NoReturn:
         """Raise SceneError with file, line, tag and reason."""
         raise SceneError(f"{self.path}: {self.place}: {reason}")
 
-    def attribute(self, name: str) -> TextElement:
-        """The value of an attribute."""
-        known = ", ".join(list(self.attributes)[:_MAX_NAMES]) or "none"
-        return self.get_attribute(name) or self.fail(f"attribute {name} is missing; found {known}")
-
-    def get_attribute(self, name: str) -> TextElement | None:
-        """The value of an attribute; None if there is none."""
-        value = self.attributes.get(name)
-        return None if value is None else TextElement(value, self.path, f"{self.place}: {name}")
-
-    def child(self, tag: str) -> XmlElement:
-        """The only child with a tag."""
-        known = ", ".join(dict.fromkeys(child.tag for child in self.children[:_MAX_NAMES])) or "none"
-        return self.get_child(tag) or self.fail(f"<{tag}> is missing; found {known}")
-
-    def get_child(self, tag: str) -> XmlElement | None:
-        """The only child with a tag; None if there is none."""
-        matches = [child for child in self.children if child.tag == tag]
-        if len(matches) > 1:
-            self.fail(f"found <{tag}> {len(matches)} times, expected it once")
-        return matches[0] if matches else None
-
-    @property
-    def text(self) -> TextElement:
-        """The text in the element, without space around it."""
-        return TextElement("".join(self.pieces).strip(), self.path, self.place)
+    def add(self, child: XmlElement) -> None:
+        """Add a child that is complete."""
+        value = child.value or "".join(child.pieces).strip()
+        if child.tag in self.value:
+            before = self.value[child.tag]
+            value = [*before, value] if isinstance(before, list) else [before, value]
+        self.value[child.tag] = value
 
 
 class XmlHandler(ContentHandler):
@@ -140,13 +116,12 @@ class _Builder(XmlHandler):
         if not self._seen_root:
             self._seen_root = True
             if self._root is not None and tag != self._root:
-                element.fail(f"found this root, expected <{self._root}>")
+                element.refuse(f"found this root, expected <{self._root}>")
             self.complete.append(element)
         elif self._open:
             self._parts += 1
             if self._parts > _MAX_PARTS:
-                self._open[0].fail(f"found more than {_MAX_PARTS} elements in it, expected at most as many")
-            self._open[-1].children.append(element)
+                self._open[0].refuse(f"found more than {_MAX_PARTS} elements in it, expected at most as many")
             self._open.append(element)
         elif self._tags is None or tag in self._tags:
             self._parts = 0
@@ -155,7 +130,9 @@ class _Builder(XmlHandler):
     def endElement(self, tag: str) -> None:
         if self._open:
             element = self._open.pop()
-            if not self._open:
+            if self._open:
+                self._open[-1].add(element)
+            else:
                 self.complete.append(element)
 
     def characters(self, text: str) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from mast_datasets import files
-from mast_datasets.files import MAX_LINE, TextElement, read_lines, read_pieces
+from mast_datasets.files import MAX_LINE, Coordinate, Element, read_lines, read_pieces
 from mast_datasets.xml_files import read_xml
 
 from mast_zenoh.errors import SceneError
@@ -19,9 +19,20 @@ def file(tmp_path: Path) -> Path:
 def test_elements_are_read_one_after_the_other_with_their_lines(file: Path) -> None:
     file.write_text('<r a="1">\n<b><c>x</c></b>\n<other><b><b/></b></other></r>')
     root, *elements = read_xml(file, "r", ("b",))
-    assert (root.tag, root.attributes, root.children) == ("r", {"a": "1"}, [])
-    assert [(element.line, len(element.children)) for element in elements] == [(2, 1), (3, 1)]
-    assert elements[0].child("c").text.text() == "x"
+    assert (root.tag, root.value) == ("r", {"a": "1"})
+    assert [(each.place, each.value) for each in elements] == [("line 2: <b>", {"c": "x"}), ("line 3: <b>", {"b": ""})]
+
+
+def test_children_are_found_whether_there_are_none_one_or_several(file: Path) -> None:
+    file.write_text("<r><b> <c>1</c> </b><b k='v'><c> 1 </c><c d='2'/></b></r>")
+    _, one, several = read_xml(file, "r", ("b",))
+    assert [each.value for each in one.several("c")] == ["1"]
+    assert [(each.place, each.value) for each in several.several("c")] == [
+        ("line 1: <b>.c[0]", "1"),
+        ("line 1: <b>.c[1]", {"d": "2"}),
+    ]
+    assert several["k"].text() == "v"
+    assert one.several("d") == []
 
 
 @pytest.mark.parametrize("compress", [bytes, gzip.compress])
@@ -53,9 +64,9 @@ def test_entities_are_refused_before_any_is_expanded(file: Path) -> None:
         ("<s/>", "line 1: <s>: found this root, expected <r>"),
         ("<r>" * 100_000, "line 1: not XML: no element found"),
         ("<r>\n<b>" + "<c/>" * 101 + "</b></r>", "line 2: <b>: found more than 100 elements in it"),
-        ("<r>\n<b><c/><c/></b></r>", "line 2: <b>: found <c> 2 times, expected it once"),
-        ("<r>\n<b><d/><e/></b></r>", "line 2: <b>: <c> is missing; found d, e"),
-        ("<r>\n<b><c x='1' y='2'/></b></r>", "line 2: <c>: attribute a is missing; found x, y"),
+        ("<r>\n<b><c/><c/></b></r>", r"line 2: <b>.c: found \['', ''\], expected an object"),
+        ("<r>\n<b><d/><e/></b></r>", "line 2: <b>: c is missing"),
+        ("<r>\n<b><c x='1' y='2'/></b></r>", "line 2: <b>.c: a is missing"),
     ],
 )
 def test_damaged_files_are_refused_with_their_line(
@@ -64,7 +75,7 @@ def test_damaged_files_are_refused_with_their_line(
     monkeypatch.setattr("mast_datasets.xml_files._MAX_PARTS", 100)
     file.write_text(text)
     with pytest.raises(SceneError, match=f"file: {message}"):
-        [element.child("c").attribute("a") for element in read_xml(file, "r", ("b",)) if element.tag == "b"]
+        [element["c"]["a"] for element in read_xml(file, "r", ("b",)) if element.tag == "b"]
 
 
 def test_lines_are_read_across_pieces(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,12 +101,9 @@ def test_a_missing_or_truncated_file_is_refused(file: Path) -> None:
         list(read_pieces(file))
 
 
-def test_numbers_are_read_as_python_reads_them_and_anything_else_is_refused() -> None:
-    for text, value in (("1", 1.0), (" -1.5e3 ", -1500.0), ("+.5", 0.5), ("7.", 7.0)):
-        assert TextElement(text, Path("file"), "x").number(-1e4, 1e4) == value
-    assert TextElement(" 12", Path("file"), "x").integer() == 12
-    for text in ("", "nan", "inf", "0x1", "1e999", "1,5", "--1", "1 2", "9" * 5000):
-        with pytest.raises(SceneError, match=r"file: x: found .*, expected a finite number from 0 to 10"):
-            TextElement(text, Path("file"), "x").number(0, 10)
-        with pytest.raises(SceneError, match=r"file: x: found .*, expected a whole number from 0 to"):
-            TextElement(text, Path("file"), "x").integer()
+def test_text_of_numbers_is_read_and_anything_else_is_refused() -> None:
+    for text, value in (("1", 1.0), ("-1.5e3", -1500.0), ("0.50", 0.5)):
+        assert Element(text, Path("file"), "x").read(Coordinate) == value
+    for text in ("", "nan", "inf", "0x1", "1e999", "1,5", "--1", "1 2", "7.", "+1", "9" * 5000):
+        with pytest.raises(SceneError, match=r"file: x: found .*(expected `float`|number out of range)"):
+            Element(text, Path("file"), "x").read(Coordinate)
