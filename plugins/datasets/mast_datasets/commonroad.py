@@ -164,9 +164,7 @@ def _poses(states: list[Element], outline: Outline) -> tuple[Floats, Floats]:
     """Position (K, 2) m of the middle of the box, and its yaw (K,) rad."""
     origin = np.array([read_point(state["position"]["point"]) for state in states])
     angle = np.array([state["orientation"]["exact"].read(_Angle) for state in states])
-    x, y = outline.centre
-    offset = np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)], axis=1)
-    return origin + offset, angle + outline.yaw
+    return origin + _turned(angle, *outline.centre), angle + outline.yaw
 
 
 def _velocities(states: list[Element], angle: Floats) -> Floats:
@@ -178,8 +176,12 @@ def _velocities(states: list[Element], angle: Floats) -> Floats:
             (0.0, [state.get("velocityY") for state in states]),
         )
     )
-    x, y = ahead * np.cos(angle) - left * np.sin(angle), ahead * np.sin(angle) + left * np.cos(angle)
-    return np.stack([x, y], axis=1)
+    return _turned(angle, ahead, left)
+
+
+def _turned(angle: Floats, x: Floats, y: Floats) -> Floats:
+    """(K, 2), x ahead and y to the left of angles (K,) rad."""
+    return np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)], axis=1)
 
 
 _MAX_BOXES = 2_000_000

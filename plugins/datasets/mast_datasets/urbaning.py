@@ -26,13 +26,12 @@ from mast_zenoh.sensing import Camera, LidarSensor
 
 TIMESYNC = "timesync_info.csv"
 _TIME = "timestamp_ms"
-_MAX_TIME_MS = 9_000_000_000_000  # the year 2255; more nanoseconds are no 64 bit number
+_Milliseconds = Annotated[int, Meta(ge=0, le=9 * 10**12)]  # to the year 2255; more nanoseconds are no 64 bit number
 _MAX_STATE_OFFSET_MS = 50  # of a vehicle's state from the time of its frame
 _MAX_STEP = 1.5  # between frames, in periods
 _STATE_ROW = re.compile(r"vehicle[0-9]{1,6}_state")
 _LIDAR_ROW = re.compile(r"crossing[0-9]{1,6}_[0-9]{1,6}_lidar")
 _STATE_FILE = re.compile(r"([0-9]{1,15})\.json")
-_MILLISECONDS = re.compile(r"[0-9]{1,15}(\.0*)?")
 
 
 class Files(NamedTuple):
@@ -91,7 +90,8 @@ def read_timesync(path: Path) -> Timesync:
         raise SceneError(f"{path}: found no row {_TIME}{nearest(_TIME, list(rows))}")
     if not rows[_TIME]:
         raise SceneError(f"{path}: found no frames, expected at least one")
-    times = [_milliseconds(path, frame, cell) for frame, cell in enumerate(rows[_TIME])]
+    cells = enumerate(rows[_TIME])
+    times = [Element(cell.strip(), path, f"row {_TIME}, frame {frame}").read(_Milliseconds) for frame, cell in cells]
     times_ns = np.array(times, np.int64) * 1_000_000
     period_s = float(np.median(np.diff(times_ns))) / 1e9 if len(times) > 1 else 0.0
     check_times(f"{path}: row {_TIME}", range(len(times)), times_ns, _MAX_STEP * period_s)
@@ -143,15 +143,6 @@ def read_av_size(files: Files, vehicle: str) -> Floats | None:
     """(3,) m l w h of a vehicle with a lidar, from av_vehicle_data.json; None if it is not there."""
     data = read_json(files.av_data).get(vehicle) if files.av_data.is_file() else None
     return np.array(data["size"].read(Size)) if data else None
-
-
-def _milliseconds(path: Path, frame: int, cell: str) -> int:
-    time = int(float(cell)) if _MILLISECONDS.fullmatch(cell.strip()) else -1
-    if not 0 <= time <= _MAX_TIME_MS:
-        raise SceneError(
-            f"{path}: row {_TIME}, frame {frame}: found {cell[:80]!r}, expected milliseconds from 0 to {_MAX_TIME_MS}"
-        )
-    return time
 
 
 _Angle = Annotated[float, Meta(ge=-1e4, le=1e4)]  # rad

@@ -146,8 +146,8 @@ def drop_frame(rows: list[list[str]]) -> None:
 @pytest.mark.parametrize(
     ("edit", "message"),
     [
-        (cell(1, 3, ""), "row timestamp_ms, frame 2: found '', expected milliseconds"),
-        (cell(1, 3, "999999999999999"), "row timestamp_ms, frame 2: found '999999999999999', expected milliseconds"),
+        (cell(1, 3, ""), "row timestamp_ms, frame 2: found '', expected `int`"),
+        (cell(1, 3, "999999999999999"), "row timestamp_ms, frame 2: found '999999999999999', expected `int` <= 9"),
         (cell(1, 3, str(TIME_MS)), "row timestamp_ms: frame 2: time is not later than that of frame 1"),
         (drop_frame, "row timestamp_ms: frame 3: found a gap of 0.200 s after frame 2, expected at most 0.15 s"),
         (cell(1, 0, "timestamp"), "found no row timestamp_ms; did you mean 'timestamp'"),
