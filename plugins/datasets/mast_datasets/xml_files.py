@@ -38,10 +38,11 @@ class XmlElement(Element):
     def add(self, child: XmlElement) -> None:
         """Add a child that is complete."""
         value = child.value or "".join(child.pieces).strip()
-        if child.tag in self.value:
-            before = self.value[child.tag]
-            value = [*before, value] if isinstance(before, list) else [before, value]
-        self.value[child.tag] = value
+        before = self.value.get(child.tag)
+        if isinstance(before, list):
+            before.append(value)
+        else:
+            self.value[child.tag] = value if before is None else [before, value]
 
 
 class XmlHandler(ContentHandler):
