@@ -74,7 +74,7 @@ def alone(factors: Factors) -> Factors:
 class DefenceMatrix(Kind):
     """A row for each cell, and a summary for each defence.
 
-    Its factors are those of `choices.matrix_study`.
+    Its factors are those of `study.defences.matrix_study`.
     """
 
     name = "defences"
