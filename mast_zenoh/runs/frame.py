@@ -128,7 +128,7 @@ class Frame:
             return boxes
         for estimate in self.estimates:
             if estimate == TRUTH.estimator and scene is not None:
-                prepared = scene.truth_at(min(self.index, len(scene) - 1))
+                prepared = scene.truth_at(scene.nearest(self.index))
                 truth = _states(TRUTH, self.bodies[TRUTH]) if TRUTH in self.bodies else prepared
                 boxes[estimate] = dict.fromkeys(BOX_OUTCOMES, Boxes.join(()))
                 boxes[estimate]["truth matched"] = Boxes.unnamed(truth.position, truth.size, truth.yaw)
@@ -189,9 +189,7 @@ def ego_position(run: Run, frame: int) -> Floats | None:
     scene = run.files.scene
     if scene is None or run.ego not in scene.agent_names:
         return None
-    return np.asarray(
-        scene.agent_position[min(max(frame, 0), len(scene) - 1), scene.agent_names.index(run.ego)], np.float64
-    )
+    return np.asarray(scene.agent_position[scene.nearest(frame), scene.agent_names.index(run.ego)], np.float64)
 
 
 def _states(series: Series, body: Body) -> ObjectStates:

@@ -19,8 +19,6 @@ from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.routes import CLOCK, TRUTH, routes
 from mast_zenoh.runs.run import Run
 
-_WINDOW = 250  # frames of a long run whose tables are in memory
-
 
 def open_recorded(path: Path) -> Run:
     """The finished run in a folder whose messages were recorded.
@@ -51,7 +49,6 @@ def frames_of(run: Run) -> Iterator[Frame]:
     Raises RunFolderError if there is none.
     """
     count = dropped = without_truth = 0
-    now, window = run, range(0)
     series_by_key = [(frame, routes(wiring, run.agents)) for frame, wiring in run.files.wirings]
     for (time_ns, index), group in groupby(read(run.path), key=lambda message: (message.time_ns, message.frame)):
         bodies, refused = _first_valid(list(group), series_by_key)
@@ -61,10 +58,7 @@ def frames_of(run: Run) -> Iterator[Frame]:
             continue
         count += 1
         without_truth += TRUTH not in bodies
-        if run.files.sample.step > 1 and index not in window:  # of a long run, its tables a part after the other
-            window = range(index - index % _WINDOW, index - index % _WINDOW + _WINDOW)
-            now = run.within(window.start, window.stop)
-        yield Frame(now, index, time_ns, bodies)
+        yield Frame(run.around(index), index, time_ns, bodies)
     if not count:
         raise RunFolderError(f"{file_of(run.path)}: found no whole frame, expected one at least")
     if dropped:

@@ -33,6 +33,8 @@ from mast_zenoh.runs.messages import WireMessage
 from mast_zenoh.scenario.driving import driver_of_car
 from mast_zenoh.wiring.model import NO_WIRING, Wiring
 
+#: Frames of a long run whose tables are read together.
+_AROUND = 250
 #: What texts call a centre and its picture, and what they are in a run without one, in which the ego's are shown.
 _WITHOUT_CENTRE = (
     ("the common picture", "the picture of the ego"),
@@ -73,6 +75,20 @@ class Run:
     def within(self, first: int, end: int) -> Self:
         """The same run with the tables by frame, but for driving and targets, of all from `first` to before `end`."""
         return self.with_(sample=range(first, end))
+
+    def around(self, frame: int) -> Self:
+        """The same run with the tables by frame of all frames around one, where it has only a sample of them."""
+        if self.files.sample.step == 1:
+            return self
+        first = frame - frame % _AROUND
+        if first not in self._around:
+            self._around = {first: self.within(first, first + _AROUND)}
+        return self._around[first]
+
+    @cached_property
+    def _around(self) -> dict[int, Self]:
+        """By first frame, the part of a long run that was asked for last."""
+        return {}
 
     def seen_by(self, agent: str) -> Self:
         """The same run with another agent in the place of the ego.

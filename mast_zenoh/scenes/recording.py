@@ -268,6 +268,10 @@ class Recording:
         """Number of frames."""
         return len(self.times_ns)
 
+    def nearest(self, frame: int) -> int:
+        """The nearest frame that there is: a scene that is shorter than its run keeps its last poses."""
+        return min(max(frame, 0), len(self) - 1)
+
     @property
     def agent_names(self) -> tuple[str, ...]:
         """Names of the agents, in column order."""

@@ -10,7 +10,6 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.live.measurement import FrameMeter, seen
-from mast_zenoh.runs.live.observer import Insertion
 from mast_zenoh.runs.live.reception import Sample, WireState
 from mast_zenoh.runs.recorded import open_recorded
 from mast_zenoh.wiring.model import Wiring
@@ -30,7 +29,7 @@ class RecordedObserver:
         scene = open_recorded(folder).files.scene if has_scene else None  # a user's own simulator prepares none
         self.address: Any = SimpleNamespace(scene=scene, id="run-1", resolved=resolved)
         self.run = seen(self.address, self.wiring, self.meter.agents)
-        self.insertions: list[Insertion] = []
+        self.interceptions: list[dict[str, Any]] = []
         self.down: list[str] = []
         self.frame = numbers[-1]
         self._due, self._effort_s, self._share = 0.0, 0.0, 1.0

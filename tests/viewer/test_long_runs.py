@@ -93,7 +93,7 @@ def test_a_frame_that_is_asked_for_is_among_those_of_a_long_run(long: Path) -> N
 def test_frames_of_a_long_run_are_judged_as_those_of_a_short_one(
     long: Path, recorded: mast.Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mast_zenoh.runs.recorded._WINDOW", 9)
+    monkeypatch.setattr("mast_zenoh.runs.run._AROUND", 9)
     judged = list(frames_of(open_recorded(long)))
     monkeypatch.setattr(run_files, "MOST_FRAMES", 10**6)
     for frame, other in zip(judged, frames_of(open_recorded(recorded.path)), strict=True):
@@ -121,7 +121,7 @@ def test_the_page_of_an_hour_is_small_and_made_in_bounded_memory(tmp_path: Path)
 def test_a_film_of_a_long_run_shows_every_frame_whole(
     long: Path, recorded: mast.Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mast_zenoh.report.film.takes._WINDOW", 9)
+    monkeypatch.setattr("mast_zenoh.runs.run._AROUND", 9)
     take = Take(Run(long), "picture")
     monkeypatch.setattr(run_files, "MOST_FRAMES", 10**6)
     whole = Take(Run(recorded.path), "picture")

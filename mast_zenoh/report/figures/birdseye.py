@@ -128,7 +128,7 @@ class AgentMarks:
     def show(self, frame: int, window: Window, looks: Mapping[str, AgentLook]) -> None:
         """Move the marks to a frame."""
         recording = self._recording
-        place = min(frame, len(recording) - 1)
+        place = recording.nearest(frame)
         occupied: list[tuple[float, float, float, float]] = []
         sectors, colours = [], []
         poses = recording.agent_position[place], recording.agent_rotation[place]

@@ -68,7 +68,7 @@ def window_of(frames: Iterable[Frame], aspect: float = 1.0, outliers: float = 0.
     for frame in frames:
         scene, ego = frame.run.files.scene, ego_position(frame.run, frame.index)
         if scene is not None and len(scene):
-            always.append(_near(scene.agent_position[min(frame.index, len(scene) - 1)], ego, relative=follow))
+            always.append(_near(scene.agent_position[scene.nearest(frame.index)], ego, relative=follow))
         for estimate, by_outcome in frame.boxes.items():
             marks, positions = frame.marks(estimate), [boxes.position for boxes in by_outcome.values()]
             mostly.append(_near(np.concatenate([*positions, marks.added, marks.removed]), ego, relative=follow))

@@ -33,10 +33,6 @@ TITLES = {
 }
 
 
-#: Frames of a long run whose boxes are in memory.
-_WINDOW = 250
-
-
 class Take:
     """An estimate of one agent of a run.
 
@@ -58,20 +54,12 @@ class Take:
         if run.files.sample.step > 1 and run.files.counts is not None:  # boxes of all frames are read later
             frames = run.files.counts["frame"]
         self.first, self.last = int(frames.min()), int(frames.max())
-        self.run, self.estimate = self._own(run, estimate), estimate
+        own = rows(run.files.objects, run.files.objects["estimator"] == run.original(estimate))
+        self.run, self.estimate = run.with_(objects=own), estimate
         self.title = (f"{name}: " if name else "") + run.worded(TITLES[estimate])
         self.times = run.times(np.arange(self.last + 1))
         # A film asks for the frames again and again: to choose its window and colours, and to draw.
         self.view = lru_cache(maxsize=4096)(self._view)
-        self._part = lru_cache(maxsize=2)(
-            lambda place: self._own(run.within(place * _WINDOW, (place + 1) * _WINDOW), estimate)
-        )
-
-    @staticmethod
-    def _own(run: Run, estimate: str) -> Run:
-        """A run with the boxes of one estimate alone."""
-        objects = run.files.objects
-        return run.with_(objects=objects and rows(objects, objects["estimator"] == run.original(estimate)))
 
     def seconds(self, frame: int) -> float:
         """Time of a frame, s since the first."""
@@ -88,8 +76,7 @@ class Take:
 
     def _view(self, frame: int) -> Frame:
         """The boxes and manipulations of a frame."""
-        run = self.run if self.run.files.sample.step == 1 else self._part(frame // _WINDOW)
-        return frame_at(run, frame, [self.estimate])
+        return frame_at(self.run.around(frame), frame, [self.estimate])
 
     @cached_property
     def attacks(self) -> Attacks:

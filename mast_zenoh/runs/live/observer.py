@@ -9,7 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
-from typing import NamedTuple
+from typing import Any
 
 import zenoh
 
@@ -52,20 +52,11 @@ _ROUTER_S = 1.0
 _MOST_NOTES = 10
 #: s for which the wiring is asked for after an epoch, and between two questions.
 _ASK_WIRING_FOR_S, _ASK_WIRING_EVERY_S = 3.0, 0.5
-_MOST_INSERTIONS = 100
+_MOST_INTERCEPTIONS = 200
 #: Whole frames that wait, above which there is no time to measure every one.
 _MOST_WAITING = 5
 #: s without measurements after which they are tried again, first and at most: each time twice as long.
 _PAUSE_S, _LONGEST_PAUSE_S = 5.0, 320.0
-
-
-class Insertion(NamedTuple):
-    """A node that was inserted into wires during the run. since_s, until_s: s of the scene; None: it is there"""
-
-    node: str
-    wires: tuple[str, ...]
-    since_s: float
-    until_s: float | None
 
 
 class Observer:
@@ -74,7 +65,7 @@ class Observer:
     session: a client of the run's router, with the viewer's credentials if the mesh is secure
     every:   all frames are received, and measured where there is time for it; else as many as the run does not feel
 
-    run:    as of the newest frame that `frames` has measured;  insertions: nodes inserted since the observer joined
+    run:    as of the newest frame that `frames` has measured;  interceptions: as in run.json, since it joined
     wiring: the current one;  meter: measures its frames;  address: how the run is reached
     types:  message types of the keys that frames need;  clock_key: the one of the clock
     tally:  of frames and messages, where every frame is received
@@ -85,7 +76,7 @@ class Observer:
         self.session = session
         self.meter = FrameMeter(address.resolved)
         self.roles = address.roles
-        self.insertions: list[Insertion] = []
+        self.interceptions: list[dict[str, Any]] = []
         self._base = prefix(address.id)
         timespan = address.resolved.timespan
         frames = None if timespan is None else max(1, timespan.frames)
@@ -107,7 +98,6 @@ class Observer:
         self._share = _PROCESSOR_SHARE[address.resolved.mode]
         self._measured_at, self._newest_then = 0.0, -1
         self._frames_per_s = 0.0
-        self._time_s = 0.0
         self._newest, self._since = -1, time.monotonic()
         self._asked, self._unanswered = self._since, 0
         self.tally = Tally()
@@ -132,7 +122,7 @@ class Observer:
     @property
     def down(self) -> list[str]:
         """Nodes that were there, and are not any more; none when the run is ending."""
-        inserted = {each.node for each in self.insertions}  # whose wires heal, which is shown
+        inserted = {each["node"] for each in self.interceptions if each["action"] == "intercept"}  # their wires heal
         down = {node for node, there in self._presence.copy().items() if not there} - inserted
         return [] if driver_of(self.address.resolved.nodes) in down else sorted(down)
 
@@ -329,7 +319,7 @@ class Observer:
         self._effort_s = time.process_time() - begun
         self._due = now + max(1.0 / _MOST_FRAMES_PER_S, 2.0 * self._effort_s / self._share)
         if measured is not None:
-            self._last, self._time_s = number, measured.time_ns * 1e-9
+            self._last = number
             self.run = measured.run
         return measured
 
@@ -389,13 +379,11 @@ class Observer:
     def _rewire(self, wiring: Wiring) -> None:
         """Follow a change of the wiring, and note which nodes were inserted or removed."""
         before, after = ({passage.node for passage in each.passages()} for each in (self.wiring, wiring))
-        for node in sorted(after - before):
-            wires = tuple(sorted({passage.wire for passage in wiring.passages() if passage.node == node}))
-            self.insertions.append(Insertion(node, wires, self._time_s, None))
-        for index, each in enumerate(self.insertions):
-            if each.node in before - after and each.until_s is None:
-                self.insertions[index] = each._replace(until_s=self._time_s)
-        del self.insertions[:-_MOST_INSERTIONS]
+        for action, known, nodes in (("intercept", wiring, after - before), ("release", self.wiring, before - after)):
+            for node in sorted(nodes):
+                wires = sorted({passage.wire for passage in known.passages() if passage.node == node})
+                event = {"action": action, "node": node, "wires": wires, "frame": max(self._last, 0)}
+                self.interceptions = [*self.interceptions, event][-_MOST_INTERCEPTIONS:]
         self.wiring = wiring
         self.run = self.run.with_(wiring=wiring.to_json())
         self._follow()

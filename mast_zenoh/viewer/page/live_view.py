@@ -72,28 +72,21 @@ class LiveBlocks:
         tracks = [body for series, body in frame.bodies.items() if series.estimator in ESTIMATORS]
         motion = motion_of(judged, truth, ((frame.index, body) for body in tracks))
         packer = Packer()
-        time_s = frame.time_ns * 1e-9
-        packer.add("time", np.array([time_s]), scale=1e-3)
+        packer.add("time", np.array([frame.time_ns * 1e-9]), scale=1e-3)
         frames = range(frame.index, frame.index + 1)
         header = pack_frames(packer, run, judged, motion, self._surroundings(frame), frames)
         header |= {"label": run.name, "recorded": True, "scored": None}
-        header |= self._happening(run, frame, time_s)
+        header |= self._happening(run, frame)
         lasting = {name: header.pop(name) for name in LASTING}
         return lasting, packer.block(header)
 
-    def _happening(self, run: Run, frame: Frame, time_s: float) -> dict[str, Any]:
+    def _happening(self, run: Run, frame: Frame) -> dict[str, Any]:
         """What is said of the run as a whole, up to this frame."""
         observer = self.observer
-        periods = spans(run, np.array([time_s]))
-        for each in observer.insertions:
-            until = time_s if each.until_s is None else each.until_s
-            wires = ", ".join(each.wires)
-            words = {"begins": f"{each.node} inserted on {wires}", "ends": f"{each.node} removed from {wires}"}
-            period = {"from_s": each.since_s, "until_s": until, **words, "nodes": [each.node]}
-            periods.append({"label": f"{each.node} inserted live", "kind": "interception", **period})
+        record = {**run.files.record, "interceptions": observer.interceptions}
         return {
             "number": frame.index,
-            "spans": sorted(periods, key=lambda each: (each["from_s"], each["label"])),
+            "spans": spans(run.with_(record=record), run.times(np.arange(frame.index + 1))),
             "newest": observer.frame,
             "refused": frame.refused,
             "down": observer.down,
@@ -111,7 +104,7 @@ class LiveBlocks:
             return None
         self.poses.update({name: pose for name, pose in frame.poses.items() if name in self.poses})
         position, rotation = (np.array([[self.poses[name][part] for name in scene.agent_names]]) for part in (0, 1))
-        number = min(frame.index, len(scene) - 1)  # a shorter scene keeps its last sweeps
+        number = scene.nearest(frame.index)
         roles = {spec.role for spec in self.observer.address.resolved.nodes.values()}
         stepped = "driver" in roles  # the prepared sweeps are of another drive
         sweeps = () if stepped else tuple(sweep[number : number + 1] for sweep in scene.sweeps)
