@@ -67,7 +67,7 @@ def test_a_live_view_shows_the_truth_as_it_happens(tmp_path: Path) -> None:
     observer: Any = RecordedObserver(ended.folder, numbers=(10, 29))
     observer.address.scene = prepared  # as it is while the run goes on
     observer.run = observer.run.with_(scene=prepared)
-    blocks = LiveBlocks.of(observer)
+    blocks = LiveBlocks(observer)
     frames = [frame for _ in range(5) if (frame := observer.advance()) is not None]
     for frame in (replace(frame, run=frame.run.with_(scene=prepared)) for frame in frames):
         lasting, block = blocks.header_and_block(frame)

@@ -107,7 +107,7 @@ def test_a_scorer_that_is_not_on_this_machine_is_replaced_by_the_default_and_sai
 @pytest.mark.parametrize("has_scene", [True, False])
 def test_a_frame_is_shown_with_and_without_a_prepared_scene(recorded: mast.Run, has_scene: bool) -> None:
     observer: Any = RecordedObserver(recorded.path, has_scene=has_scene)
-    blocks = LiveBlocks.of(observer)
+    blocks = LiveBlocks(observer)
     sizes = []
     while not observer.is_over():
         if (frame := observer.advance()) is not None:

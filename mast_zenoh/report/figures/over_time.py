@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mast_zenoh.metrics import ATTACK_CAUSES, CAUSES, DEFENCE_CAUSES, FAULT_CAUSES
 from mast_zenoh.metrics.estimates import OWN, column_name
 from mast_zenoh.metrics.measures import metric_named, own_metrics
-from mast_zenoh.report.figures.style import Figure, light_axes, plain
+from mast_zenoh.report.figures.style import LINE_STYLES, Figure, light_axes, plain
 from mast_zenoh.report.figures.timeaxis import HATCH, bands, fault_legend, padded, rows_over_time, shade
 from mast_zenoh.report.findings.changes import scored
 from mast_zenoh.report.tables.of_run import DRIVEN_BY
@@ -24,7 +24,6 @@ from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT, FAULT_ON_LIGHT, INK, L
 
 #: Columns that the report shows.
 REPORT_COLUMNS = ("fn", "fp", "rmse_m")
-_STYLES = ("-", (0, (6, 1.5)), (0, (2, 1)), (0, (6, 1, 1, 1)), "-", (0, (6, 1.5)))
 #: The bold lines are means over this many past frames. Future frames are not used, so that no line rises before an
 #: attack begins.
 SMOOTH = 5
@@ -103,7 +102,7 @@ _ALONE = _LineStyle(LOCAL, (0, (1, 1)))
 
 def _look(index: int, width: float = 1.9) -> _LineStyle:
     """The style of one of several lines."""
-    return _LineStyle(RUN_COLOURS[index % len(RUN_COLOURS)], _STYLES[index % len(_STYLES)], width)
+    return _LineStyle(RUN_COLOURS[index % len(RUN_COLOURS)], LINE_STYLES[index % len(LINE_STYLES)], width)
 
 
 def _lines(runs: Mapping[str, Run], estimate: str) -> list[tuple[str, Run, Table, _LineStyle]]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from mast_zenoh.metrics.estimates import ESTIMATES, MAIN
 from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.metrics.study_results import MIN_SEEDS, Statistic, StudyRow
-from mast_zenoh.report.tables.text_table import DASH, number, whole_percent
+from mast_zenoh.report.tables.text_table import DASH, decimals_of, number, whole_percent
 
 #: The warning of a table with such an increment.
 MOSTLY_ZERO = (
@@ -150,14 +150,14 @@ def over_trials(estimate: Statistic) -> str:
 def value(estimate: Statistic) -> str:
     """The mean over trials alone: `3.42`, a success rate as `85 %`."""
     mean = estimate.value
-    return f"{whole_percent(mean)} %" if estimate.rate and not math.isnan(mean) else number(mean, _digits(estimate))
+    return f"{whole_percent(mean)} %" if estimate.rate and not math.isnan(mean) else number(mean, decimals_of(estimate))
 
 
 def bounds(estimate: Statistic, *, scenes: bool = False) -> str:
     """`[3.10, 3.80]`, or why there is no interval; scenes: that to other scenes."""
     low, high = (estimate.scenes_low, estimate.scenes_high) if scenes else (estimate.low, estimate.high)
     if not math.isnan(low):
-        digits = _digits(estimate)
+        digits = decimals_of(estimate)
         ends = (whole_percent(end) if estimate.rate else number(end, digits) for end in (low, high))
         return f"[{', '.join(ends)}]"
     if scenes or math.isnan(estimate.value):
@@ -166,9 +166,3 @@ def bounds(estimate: Statistic, *, scenes: bool = False) -> str:
         share, first, last = map(whole_percent, (estimate.zero_share, estimate.zero_low, estimate.zero_high))
         return f"(0 in {share} % [{first}, {last}])"
     return f"(n < {MIN_SEEDS})" if estimate.seeds < MIN_SEEDS else "(all equal)"
-
-
-def _digits(estimate: Statistic) -> int:
-    """Decimals that show the width of the interval: two, more where it would vanish."""
-    half = (estimate.high - estimate.low) / 2.0
-    return 2 if math.isnan(half) or half >= 0.01 else min(5, math.ceil(-math.log10(half)))

@@ -270,12 +270,16 @@ def measured(each: Statistic, decimals: int = 2) -> str:
     if math.isnan(each.low):
         why = "mostly 0" if each.interval == MOSTLY_ZERO else "all equal"
         return number(each.value, decimals) + (f" ({why})" if each.trials >= MIN_SEEDS else "")
-    half = (each.high - each.low) / 2.0
-    if 0.0 < half < 0.01:  # so many decimals that the interval has a width
-        decimals = min(5, max(decimals, math.ceil(-math.log10(half))))
+    decimals = decimals_of(each, decimals)
     low = number(each.low, decimals)
     interval = f"[{low}, \u221e)" if math.isinf(each.high) else f"[{low}, {number(each.high, decimals)}]"
     return f"{number(each.value, decimals)} {interval}"
+
+
+def decimals_of(each: Statistic, least: int = 2) -> int:
+    """So many decimals that the interval of a number has a width."""
+    half = (each.high - each.low) / 2.0
+    return min(5, max(least, math.ceil(-math.log10(half)))) if 0.0 < half < 0.01 else least
 
 
 def median_delay(each: Statistic) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,31 +38,23 @@ LASTING = (
 )
 
 
-@dataclass
 class LiveBlocks:
-    """Makes blocks of the frames of an observed run.
+    """Makes blocks of the frames of an observed run."""
 
-    poses: by agent, its latest position (3,) m and rotation (3, 3), which later frames may not repeat
-    """
-
-    observer: Observer
-    poses: dict[str, tuple[Floats, Floats]]
-
-    @classmethod
-    def of(cls, observer: Observer) -> LiveBlocks:
-        """Of a run that is being observed."""
-        scene = observer.address.scene
-        if scene is None:
-            return cls(observer, {})
-        first = zip(scene.agent_names, scene.agent_position[0], scene.agent_rotation[0], strict=True)
-        return cls(observer, {name: (position, rotation) for name, position, rotation in first})
+    def __init__(self, observer: Observer) -> None:
+        self._observer = observer
+        #: By agent, its latest position (3,) m and rotation (3, 3), which later frames may not repeat.
+        self._poses: dict[str, tuple[Floats, Floats]] = {}
+        if (scene := observer.address.scene) is not None:
+            poses = zip(scene.agent_position[0], scene.agent_rotation[0], strict=True)
+            self._poses = dict(zip(scene.agent_names, poses, strict=True))
 
     def header_and_block(self, frame: Frame) -> tuple[dict[str, Any], bytes]:
         """The lasting part of the header of a frame, and the block with everything else.
 
         Raises ValueError if a number is too large for a block.
         """
-        down = [{"node": node, "action": "kill", "frame": frame.index} for node in self.observer.down]
+        down = [{"node": node, "action": "kill", "frame": frame.index} for node in self._observer.down]
         run = frame.run.with_(record={**frame.run.files.record, "steps": down})
         body = frame.bodies.get(TRUTH) if run.files.scene is not None else None
         states = ObjectStates.empty() if body is None else truth_states(body)
@@ -82,7 +73,7 @@ class LiveBlocks:
 
     def _happening(self, run: Run, frame: Frame) -> dict[str, Any]:
         """What is said of the run as a whole, up to this frame."""
-        observer = self.observer
+        observer = self._observer
         record = {**run.files.record, "interceptions": observer.interceptions}
         return {
             "number": frame.index,
@@ -102,10 +93,10 @@ class LiveBlocks:
         scene = frame.run.files.scene
         if scene is None:
             return None
-        self.poses.update({name: pose for name, pose in frame.poses.items() if name in self.poses})
-        position, rotation = (np.array([[self.poses[name][part] for name in scene.agent_names]]) for part in (0, 1))
+        self._poses.update({name: pose for name, pose in frame.poses.items() if name in self._poses})
+        position, rotation = (np.array([[self._poses[name][part] for name in scene.agent_names]]) for part in (0, 1))
         number = scene.nearest(frame.index)
-        roles = {spec.role for spec in self.observer.address.resolved.nodes.values()}
+        roles = {spec.role for spec in self._observer.address.resolved.nodes.values()}
         stepped = "driver" in roles  # the prepared sweeps are of another drive
         sweeps = () if stepped else tuple(sweep[number : number + 1] for sweep in scene.sweeps)
         return AgentPoses(position, rotation, sweeps)
@@ -132,7 +123,7 @@ def show(run: LiveAddress, session: zenoh.Session, server: LiveServer, stop: thr
 
 def _follow(observer: Observer, feed: Feed, stop: threading.Event) -> None:
     """Publish frames until the run is over; receives nothing but the clock while no page reads them."""
-    blocks = LiveBlocks.of(observer)
+    blocks = LiveBlocks(observer)
     wanted = time.monotonic()
     while not stop.is_set():
         if feed.is_wanted:

@@ -25,7 +25,7 @@ _WIRE = WireState("agent/ego/tracks", (LegState("ego", "agent", "agent/ego/track
 def frames(attacked_run: Path) -> Frames:
     """Some frames of the attacked run, as its viewer would have sent them."""
     observer: Any = RecordedObserver(attacked_run, _NUMBERS, [_WIRE])
-    blocks = LiveBlocks.of(observer)
+    blocks = LiveBlocks(observer)
     return [blocks.header_and_block(frame) for frame in observer.waiting if frame is not None]
 
 
