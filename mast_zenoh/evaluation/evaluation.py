@@ -46,6 +46,9 @@ from mast_zenoh.metrics.measures import check, per_frame
 from mast_zenoh.metrics.scores import LastMatches
 from mast_zenoh.metrics.trust import Fault
 
+#: Columns of attacks.parquet that say where an effect was measured.
+_OF_PASSAGE = ("interposer", "role", "wire", "message", "before_subscriber")
+
 
 def attacks(effects: Effects, agreement: Agreement, roles: Mapping[str, str], period_s: float, counted: Bools) -> Table:
     """The effects (n,) that are counted (n,), as columns of attacks.parquet.
@@ -54,19 +57,13 @@ def attacks(effects: Effects, agreement: Agreement, roles: Mapping[str, str], pe
     Objects of a message that was withheld, forged or reframed as a whole have no separate rows.
     """
     rows = np.flatnonzero(~effects.whole & counted)
-    passages = effects.passages
-    passage_row = effects.passage[rows]
-
-    def of_passage(values: Sequence[str]) -> np.ndarray:
-        return np.array([*values, ""], object)[passage_row] if len(rows) else np.zeros(0, object)
-
+    of_passages = [
+        (each.node, roles.get(each.node, ""), each.wire, each.message, each.before) for each in effects.passages
+    ]
+    of_rows = np.array([*of_passages, ("",) * len(_OF_PASSAGE)], object)[effects.passage[rows]]
     delay_ns = effects.frames_late[rows] * period_s * 1e9 + effects.time_ns[rows]
     return {
-        "interposer": of_passage([passage.node for passage in passages]),
-        "role": of_passage([roles.get(passage.node, "") for passage in passages]),
-        "wire": of_passage([passage.wire for passage in passages]),
-        "message": of_passage([passage.message for passage in passages]),
-        "before_subscriber": of_passage([passage.before for passage in passages]),
+        **dict(zip(_OF_PASSAGE, of_rows.T, strict=True)),
         "frame": effects.frame[rows],
         "seq": effects.seq[rows],
         "effect": np.array(EFFECTS, object)[effects.code[rows]],

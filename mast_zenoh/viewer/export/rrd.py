@@ -84,13 +84,11 @@ def write_frame(run: Run, frame: Frame, stream: rerun.RecordingStream) -> None:
             continue
         states = frame.objects[series]
         outcomes = frame.outcomes[series].names
-        labels = [f"{kind} {number}, {outcome}" for kind, number, outcome in _named(states, outcomes)]
-        stream.log(run.topics[series], _boxes(states, run.origin, colours(frame, series), labels))
+        stream.log(run.topics[series], _boxes(states, run.origin, colours(frame, series), outcomes))
         if series != TRUTH:
             lost = missed(frame, series)
-            labels = [f"{kind} {number}, {outcome}" for kind, number, outcome in _named(lost, [MISSED] * len(lost))]
             colour = np.tile(rgb(OUTCOME_COLOURS["truth missed"]), (len(lost), 1))
-            stream.log(f"{run.topics[series]}/{MISSED}", _boxes(lost, run.origin, colour, labels))
+            stream.log(f"{run.topics[series]}/{MISSED}", _boxes(lost, run.origin, colour, [MISSED] * len(lost)))
     changes = frame.changes
     places = np.where(np.isfinite(changes.after), changes.after, changes.before)
     shown = np.isfinite(places).all(axis=1) & (changes.role != "link")
@@ -110,17 +108,14 @@ def write_frame(run: Run, frame: Frame, stream: rerun.RecordingStream) -> None:
                 stream.log(_score(series, name), rerun.Scalars(value))
 
 
-def _named(states: ObjectStates, outcomes: list[str]) -> list[tuple[str, int, str]]:
-    return list(zip(class_names(states), states.id.tolist(), outcomes, strict=True))
-
-
-def _boxes(states: ObjectStates, origin: Floats, colour: Ints, labels: list[str]) -> rerun.Boxes3D:
+def _boxes(states: ObjectStates, origin: Floats, colour: Ints, outcomes: list[str]) -> rerun.Boxes3D:
+    named = zip(class_names(states), states.id.tolist(), outcomes, strict=True)
     return rerun.Boxes3D(
         centers=states.position - origin,
         half_sizes=states.size / 2,
         quaternions=scalar_last_quaternions(states.yaw),
         colors=colour.astype(np.uint8),
-        labels=labels,
+        labels=[f"{kind} {number}, {outcome}" for kind, number, outcome in named],
         show_labels=False,
     )
 
