@@ -119,12 +119,12 @@ _EMPTY: dict[str, np.ndarray] = {
 
 def _messages(index: int, meter: PassageMeter) -> dict[str, np.ndarray]:
     """The effects on whole messages of one passage."""
-    n = len(meter.effects.messages)
-    columns = {name: np.full(n, -1, np.int64) for name in ("id",)} | {"passage": np.full(n, index, np.int64)}
-    columns["code"] = np.array([CODE[each.effect] for each in meter.effects.messages], np.int64)
+    messages, n = meter.effects.messages, len(meter.effects.messages)
+    columns: dict[str, np.ndarray] = {"id": np.full(n, -1, np.int64), "passage": np.full(n, index, np.int64)}
+    columns["code"] = np.array([CODE[each.effect] for each in messages], np.int64)
     for name in ("frame", "seq", "step", "frames_late", "time_ns"):
-        columns[name] = np.array([getattr(each, name) for each in meter.effects.messages], np.int64)
-    columns["columns"] = text([" ".join(each.columns) for each in meter.effects.messages])
+        columns[name] = np.array([getattr(each, name) for each in messages], np.int64)
+    columns["columns"] = text([" ".join(each.columns) for each in messages])
     no_positions = {name: np.full((n, 3), np.nan) for name in ("before", "after", "velocity")}
     return columns | no_positions | {"whole": np.zeros(n, bool)}
 

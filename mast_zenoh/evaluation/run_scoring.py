@@ -8,10 +8,10 @@ sums. A run shorter than a block and what follows it is evaluated as a whole.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar, overload
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -526,21 +526,12 @@ def _row(block: Block, name: Name, settings: Evaluation) -> dict[str, NDArray[An
     }
 
 
-class _Estimates(Sequence[Estimate]):
-    """The estimates of a run, for users' metrics of whole runs, each made when it is asked for."""
+class _Estimates(Iterable[Estimate]):
+    """The estimates of a run, each made when its turn has come, for each metric anew."""
 
     def __init__(self, joined: Joined, period_s: float) -> None:
         self._joined, self._period_s = joined, period_s
 
-    def __len__(self) -> int:
-        return len(self._joined.names)
-
-    @overload
-    def __getitem__(self, index: int) -> Estimate: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Estimate]: ...
-    def __getitem__(self, index: int | slice) -> Estimate | Sequence[Estimate]:
-        if isinstance(index, slice):
-            return [self[row] for row in range(len(self))[index]]
-        name = self._joined.names[index]
-        return self._joined.columns(name).estimate(*name, self._period_s)
+    def __iter__(self) -> Iterator[Estimate]:
+        for name in self._joined.names:
+            yield self._joined.columns(name).estimate(*name, self._period_s)

@@ -33,7 +33,7 @@ class ScoredRun:
 
     scores: FrameScores
     scored: slice = field(default_factory=lambda: slice(None))
-    estimates: Sequence[Estimate] = ()
+    estimates: Iterable[Estimate] = ()
 
     @cached_property
     def counts(self) -> Bools:

@@ -37,7 +37,7 @@ from mast_zenoh.report.tables.study import difference_title, sections, side_by_s
 from mast_zenoh.report.tables.text_table import TextTable
 from mast_zenoh.report.tables.wiring import wire_rows
 from mast_zenoh.run_folder import write_bytes
-from mast_zenoh.runs.frame import Frame, has_boxes
+from mast_zenoh.runs.frame import has_boxes
 from mast_zenoh.runs.interposers import BAD, WITH_COLUMN, failure_lines, interposers, node_row
 from mast_zenoh.runs.run import Run
 from mast_zenoh.version import __version__
@@ -194,16 +194,13 @@ def _estimate(run: Run, reference: Reference | None) -> str:
     return change.estimate if change is not None and drawable else "picture"
 
 
-def write_study_report(
-    study_folder: Path, runs: Mapping[str, Path], frame: int | None = None, driven: tuple[Path, Path] | None = None
-) -> Path:
+def write_study_report(study_folder: Path, runs: Mapping[str, Path], driven: tuple[Path, Path] | None = None) -> Path:
     """Write the report of compared runs and each run's own report.
 
     The former goes into `study_folder`.
 
     runs:  folders of runs of one scene and seed by label, in the order to show them; the one labelled `baseline`,
            or else the first, is what the others are compared with
-    frame: the frame that all pictures show; by default from `view.choose_common_frame`
     driven: folders of a run with drivers and of its unattacked twin, which are not among the compared ones
     Returns the path of the report. Raises RunFolderError like `write_report`.
     """
@@ -214,23 +211,24 @@ def write_study_report(
     change = max((each for each in largest_changes if each), key=lambda each: abs(each.weight), default=None)
     estimate = change.estimate if change and change.estimate in PANELS else "mission" if change else "picture"
     chosen = choose_common_frame(list(folders.values()), folders[reference], estimate)
-    frame_views = {label: _view_to_show(run, frame, chosen) for label, run in folders.items()}
+    frames = {label: choose_frame(run) if chosen is None else chosen for label, run in folders.items()}
+    frame_views = {label: frame_view(folders[label], each) for label, each in frames.items() if each is not None}
     table = _scores(folders, reference)
     title, sentences = of_compared(folders, over)
     pages: list[dict[str, Any]] = []
     for label, run in folders.items():
-        page, path = _write_run(FigureContext(run, frame_views[label]), study=study_folder)
+        page, path = _write_run(FigureContext(run, frame_views.get(label)), study=study_folder)
         link = _relative(path, study_folder)
         pages.append({"label": label, "anchor": f"run-{len(pages) + 1}", "link": link} | page)
     views = {label: view for label, view in frame_views.items() if view is not None}
     if any(estimate not in view.boxes for view in views.values()):  # of an older run
         estimate = "picture"
-    figures = figures_of_run.study_figures(folders, table, views, estimate, chosen=frame is None)
+    figures = figures_of_run.study_figures(folders, table, views, estimate)
     car, car_figures = _driven(driven)
     figures |= car_figures
     for each in figures.values():
         each.save(study_folder / "figures")
-    viewer, problems = _viewer(dict(list(folders.items())[:_MOST_IN_VIEWER]), frame if frame is not None else chosen)
+    viewer, problems = _viewer(dict(list(folders.items())[:_MOST_IN_VIEWER]), chosen)
     content = {
         "title": "Runs compared",
         "viewer": viewer,
@@ -259,17 +257,6 @@ def _driven(folders: tuple[Path, Path] | None) -> tuple[list[str], dict[str, Ren
     drawn = figures_of_run.rendered(figures_of_run.Driven(), FigureContext(run, None, reference=reference))
     happened = [*attacks(run), *of_cars(run, reference)]
     return [f"{each}." for each in said(run, happened)], {} if drawn is None else {drawn.name: drawn}
-
-
-def _view_to_show(run: Run, frame: int | None, common: int | None) -> Frame | None:
-    """The view of a run at the requested frame.
-
-    Without one: at the common frame, or else at the run's own choice.
-    """
-    if frame is not None:
-        return frame_view(run, check_frame(run, frame))
-    chosen = choose_frame(run) if common is None else common
-    return None if chosen is None else frame_view(run, chosen)
 
 
 def _scores(runs: Mapping[str, Run], reference: str | None = None) -> ScoreTable:

@@ -145,7 +145,6 @@ def curve(
     factor: float = 1.0,
     *,
     across: bool = False,
-    joined: bool = True,
 ) -> None:
     """Numbers with their intervals, in the colour, with the marker and the line of an index.
 
@@ -160,7 +159,7 @@ def curve(
         yerr=None if across else bars,
         color=RUN_COLOURS[index % len(RUN_COLOURS)],
         marker=MARKERS[index % len(MARKERS)],
-        linestyle=LINE_STYLES[index % len(LINE_STYLES)] if joined and not across else "none",
+        linestyle="none" if across else LINE_STYLES[index % len(LINE_STYLES)],
         markersize=4.5,
         linewidth=1.6,
         elinewidth=0.9,

@@ -353,12 +353,7 @@ _CHOICE_CLEAN = "The frame is the scored one in which the picture spares the ego
 
 
 def study_figures(
-    runs: Mapping[str, Run],
-    table: ScoreTable,
-    views: Mapping[str, Frame],
-    estimate: str = "picture",
-    *,
-    chosen: bool,
+    runs: Mapping[str, Run], table: ScoreTable, views: Mapping[str, Frame], estimate: str = "picture"
 ) -> dict[str, drawing.RenderedFigure]:
     """The figures that compare runs, by name."""
     figures = []
@@ -366,9 +361,8 @@ def study_figures(
         tallies = "; ".join(f"{label}: {tally(view, estimate)}" for label, view in views.items())
         name = capital(ESTIMATES[estimate].panel.partition(":")[0])
         caption = f"{name} in the same frame of every run; under it, means per frame over the scored frames."
-        if chosen:
-            beyond = f" less those of {table.reference} in the same frame"
-            caption += f" {_CHOICE_ATTACKED.format(where=f'of the {ESTIMATES[estimate].column}', beyond=beyond)}."
+        beyond = f" less those of {table.reference} in the same frame"
+        caption += f" {_CHOICE_ATTACKED.format(where=f'of the {ESTIMATES[estimate].column}', beyond=beyond)}."
         alt = f"Bird's-eye views side by side, {next(iter(views.values())).time_label}. {tallies}."
         figures.append(
             drawing.render("side_by_side", drawing.side_by_side_figure(views, table, estimate), alt, caption)
