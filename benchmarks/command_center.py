@@ -21,7 +21,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Detections, ObjectStates, concatenate
 from mast_zenoh.fusion import CovarianceIntersectionFusion, GroupTrackerWrapper, SampledAssignmentClusterer
-from mast_zenoh.pipelines import CommandCenterPipeline
+from mast_zenoh.fusion.pipelines import CommandCenterPipeline
 from mast_zenoh.tracking import KalmanBoxTracker3D
 
 SIZES = ("5x50", "20x50", "100x50", "20x200", "1000x20")

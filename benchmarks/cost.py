@@ -43,8 +43,8 @@ import numpy as np
 
 from mast_zenoh import kernels, scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.runtime.host import Outgoing
-from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.mesh.host import Outgoing
+from mast_zenoh.mesh.inproc import InProcess
 
 BUDGETS = Path(__file__).with_name("budgets.toml")
 #: Name of a run: its scenario and settings.
@@ -57,7 +57,7 @@ WARM_UP, COUNTED = 10, 10  # frames
 MARGIN = 0.03  # that a cost may exceed its budget
 TOP = 12  # functions kept with a budget
 #: Modules within which everything happens, so that they explain nothing.
-HARNESS = ("__main__", "mast_zenoh.runtime.host")
+HARNESS = ("__main__", "mast_zenoh.mesh.host")
 #: Ending of the module of a node's file, which depends on the folder.
 NODE_FILE = re.compile(r"_[0-9a-f]{12}$")
 MEASURES = ("instructions", "bytes", "calls", "messages", "encoded_bytes")

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh import scenario
-from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.mesh.inproc import InProcess
 
 ESTIMATES = ("truth", "safety", "mission")
 DRIVERS = ("FollowingDriver", "ProposalDriver")

@@ -29,10 +29,10 @@ from mast_zenoh.arrays.states import Floats, ObjectStates
 from mast_zenoh.attacks.flood import Flood
 from mast_zenoh.attacks.targets import Tampering, Targets
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.mesh.host import Host
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.messages.codec import conform
 from mast_zenoh.messages.schemas import Header
-from mast_zenoh.runtime.host import Host
-from mast_zenoh.runtime.inproc import InProcess
 
 CPM = {"agents.*.tracks_from": "agent"}
 ON_TRACKS = {"n_adversaries": 1, "keyexpr.rewrites": ["on_tracks.toml"]}

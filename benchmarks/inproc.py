@@ -26,7 +26,7 @@ from contextlib import closing
 from pathlib import Path
 
 from mast_zenoh import scenario
-from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.study import definition, execution
 from mast_zenoh.study.trial import Trial
 from mast_zenoh.study.trials import plan

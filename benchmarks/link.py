@@ -36,14 +36,14 @@ from mast_zenoh import links
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.control import flow, prefix
-from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.links import Chain, Passage, Rule
+from mast_zenoh.mesh.control import flow, prefix
+from mast_zenoh.mesh.control.signatures import Signatures
+from mast_zenoh.mesh.protocol.traffic import stamp
+from mast_zenoh.mesh.session import open_client, open_router
+from mast_zenoh.mesh.zenoh_process import ZenohProcess
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
-from mast_zenoh.runtime.mesh.session import open_client, open_router
-from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
-from mast_zenoh.runtime.protocol.traffic import stamp
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring import endpoints, maps
 from mast_zenoh.wiring.model import Wiring
@@ -132,7 +132,7 @@ def link(endpoint: str, path: str) -> None:
         nodes = {"link_ego": NodeSpec("link", "link.py", "", {}, "fail")}
         resolved = Resolved("link", 0, "realtime", 1.0, 1, PERIOD_NS, nodes, wiring().to_json(), {})
         process = ZenohProcess(path, resolved, "link_ego", node, session, Signatures(path))
-        gc.freeze()  # as runtime/mesh/hosting.py does
+        gc.freeze()  # as mesh/hosting.py does
         gc.set_threshold(50_000, 20, 20)
         process.run()
 

@@ -33,8 +33,8 @@ import zenoh
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from mast_zenoh.mesh.session import open_client
 from mast_zenoh.run_folder import read_json
-from mast_zenoh.runtime.mesh.session import open_client
 
 sys.path.append(str(Path(__file__).parents[1] / "tools"))
 from chromium import FLAGS, PROGRAM

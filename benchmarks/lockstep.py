@@ -32,8 +32,8 @@ import zenoh
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run
-from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.runtime.mesh.session import open_client, open_router
+from mast_zenoh.mesh.inproc import InProcess
+from mast_zenoh.mesh.session import open_client, open_router
 from mast_zenoh.wiring.model import Wiring
 
 #: By role, the messages that a node of the bare loop waits for before it publishes.

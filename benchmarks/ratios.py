@@ -36,7 +36,7 @@ import versions
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.scenes import Intersection
 from mast_zenoh.scenes.making.observe import FrameDetection, lidar_visibility
 from mast_zenoh.sensing import DetectionModel

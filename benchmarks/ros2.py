@@ -21,7 +21,7 @@ import psutil
 import zenoh
 from live_view import compare
 
-from mast_zenoh.runtime.mesh.session import open_client, open_router
+from mast_zenoh.mesh.session import open_client, open_router
 
 _MAST = (sys.executable, "-m", "mast_zenoh")
 _SHOWN = ("tf", "tf_static", "clock", "scene/truth/markers", "cc/picture/markers")

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import run
-from mast_zenoh.security.levels import LEVELS, SECURE
+from mast_zenoh.mesh.security.levels import LEVELS, SECURE
 
 GOAL = 0.7
 

@@ -18,8 +18,8 @@ from cost import RUNS
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.security.levels import SECURE
+from mast_zenoh.mesh.inproc import InProcess
+from mast_zenoh.mesh.security.levels import SECURE
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILT = ROOT / ".venv" / "versions"

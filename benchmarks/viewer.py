@@ -24,8 +24,8 @@ from typing import Any
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.report.html import write_report
-from mast_zenoh.viewer.page.page import viewer_page
+from mast_zenoh.show.html import write_report
+from mast_zenoh.show.page.page import viewer_page
 
 sys.path.append(str(Path(__file__).parents[1] / "tools"))
 from chromium import browser as chromium

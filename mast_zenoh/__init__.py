@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from mast_zenoh.api.scenes import PreparedScene as PreparedScene
     from mast_zenoh.api.scenes import prepare as scene
     from mast_zenoh.errors import MastError as MastError
-    from mast_zenoh.report.compare import Comparison as Comparison
-    from mast_zenoh.report.compare import compare as compare
+    from mast_zenoh.show.compare import Comparison as Comparison
+    from mast_zenoh.show.compare import compare as compare
     from mast_zenoh.study.interface import FinishedStudy as FinishedStudy
     from mast_zenoh.study.interface import carry_out as study
     from mast_zenoh.version import __version__ as __version__
@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 #: (module, name in it) by public name. `study` is missing because the package of that name is callable
 #: (see mast_zenoh/study/__init__.py).
 _PLACES = {
-    "Comparison": ("mast_zenoh.report.compare", "Comparison"),
+    "Comparison": ("mast_zenoh.show.compare", "Comparison"),
     "FinishedStudy": ("mast_zenoh.study.interface", "FinishedStudy"),
     "Listing": ("mast_zenoh.api.catalogue", "Listing"),
     "MastError": ("mast_zenoh.errors", "MastError"),
     "PreparedScene": ("mast_zenoh.api.scenes", "PreparedScene"),
     "Run": ("mast_zenoh.api.runs", "OpenedRun"),
     "__version__": ("mast_zenoh.version", "__version__"),
-    "compare": ("mast_zenoh.report.compare", "compare"),
+    "compare": ("mast_zenoh.show.compare", "compare"),
     "list": ("mast_zenoh.api.catalogue", "list_kind"),
     "open": ("mast_zenoh.api.execution", "open_run"),
     "run": ("mast_zenoh.api.execution", "run"),

@@ -13,29 +13,22 @@ LAYERS: dict[str, str] = {
     "study": "sweeps, Monte Carlo, statistics, tables; attacked_run: what attackers without a role can do",
     "testing": "checks for user-written classes, and fixtures for pytest; simulation/: whole runs in virtual time",
     "api": "runs as Python objects, and listings of classes, for notebooks and scripts",
-    "report": "pages of runs and studies; figures/ tables/ findings/ narrative/ film/ templates/",
-    "viewer": "the page that plays runs, and files of runs for other programs; page/ export/",
+    "show": "what is seen of runs: page/ live, figures/ tables/ findings/ film/ templates/, export/ for other programs",
     "runs": "a run, finished or going on: its tables and frames; live/",
     "deploy": "nodes in containers and on other hosts; engine: what compose and ssh/ share",
-    "replay": "puts a recorded run back on a mesh: recorded nodes before a cut, live nodes after it",
-    "launch": "starts, watches and ends the processes of a run; launcher_protocol: what it decides; netns/: its hosts",
-    "checks": "invariants of finished runs",
-    "runtime": "hosts nodes: host (one node), protocol/ (a process as a state machine), inproc, mesh/ player",
+    "launch": "starts, watches, ends the processes of a run; launcher_protocol: its decisions; replay/ checks/ netns/",
     "scenario": "validates and resolves scenario files",
-    "control": "control messages: schemas and validation",
+    "mesh": "hosts nodes: host (one node), protocol/ (a state machine), inproc; control/, security/",
     "faults": "faults of nodes and networks on a timeline",
-    "evaluation": "computes metrics and tables from the messages of a run",
+    "evaluation": "computes metrics and tables from the messages of a run; effects/ of interposers, on the wires",
     "config": "loading, registry, plugins, settings, the resolved scenario, paths of bundled files",
-    "effects": "effects of interposers, measured on the wires",
     "attacks": "the algorithms of adversaries",
-    "pipelines": "processing stages of agents and of nodes that fuse",
+    "fusion": "fuses the tracks of many agents into one picture; pipelines/ of agents and of nodes that fuse",
     "node": "base class of nodes: ports and handlers",
     "scenes": "ground truth: making/ recordings of boxes and paths; generated/ junctions. Data sets: plugins/datasets",
     "run_folder": "a run's files: bounded reading, safe writing, tables; recording/ of all messages",
-    "security": "certificates of a run, rights derived from the wiring, signing keys",
     "wiring": "key-expression maps, rewrites, and the key of every port",
     "integrity": "judges the agents' tracks: whom to trust, and what to withhold",
-    "fusion": "fuses the tracks of many agents into one picture",
     "messages": "schemas, codec, memory layout, validation",
     "v2x": "standard messages (CAM, CPM) as wire formats, when they are sent, and the load of their channel",
     "links": "network effects: loss, delay, duplication, corruption",
@@ -54,7 +47,7 @@ LAYERS: dict[str, str] = {
 }
 
 #: The lowest layer that does not affect nodes: it and those above only start nodes and read their results.
-LOWEST_OUTSIDE_NODES = "checks"
+LOWEST_OUTSIDE_NODES = "launch"
 
 
 def run_by_nodes() -> frozenset[str]:

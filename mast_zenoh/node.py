@@ -9,7 +9,7 @@
             context.relay("detections_out", message)
 
 A node reacts to messages and publishes through its context. It never uses Zenoh, a socket, a clock or a global random
-generator: the runtime (`mast_zenoh.runtime`) owns them, so the same node runs in one process, on a mesh of processes
+generator: the runtime (`mast_zenoh.mesh`) owns them, so the same node runs in one process, on a mesh of processes
 and on many hosts. The messages it publishes for a frame must depend on the set of messages of that frame, never on
 their order; use `mast_zenoh.gather.Gather` to collect them.
 """

@@ -2,7 +2,7 @@
 
 Whoever brings such programs in gives two things: a session with them (`OutsideSession`), and a node that names it in
 `Node.outside_topics`. The runtime opens the session, queues what arrives, and ends what waits
-(`mast_zenoh.runtime.outside_link`); the node gets an `Outside` as `Context.outside`, counts with an `OutsideTally`,
+(`mast_zenoh.mesh.outside_link`); the node gets an `Outside` as `Context.outside`, counts with an `OutsideTally`,
 and returns its results as `outside` from `finish`. Then the run says that its results depend on these programs.
 """
 

@@ -33,9 +33,9 @@ from mast_zenoh.attacks.victim import (
 )
 from mast_zenoh.gather import LatestBefore
 from mast_zenoh.integrity.views import view_columns
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.wiring.model import ANY, Input, agent_of, part_of
 
 #: Types of messages with objects.

@@ -20,11 +20,11 @@ from mast_zenoh.arrays.geometry import (
     states_to_world,
 )
 from mast_zenoh.arrays.states import Detections, Floats, ObjectStates
+from mast_zenoh.fusion.pipelines import AgentPipeline, OwnSensor, Pose
 from mast_zenoh.gather import Gather, LatestBefore
 from mast_zenoh.integrity.views import UNKNOWN_SPACE, SweptView, view_columns
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.pipelines import AgentPipeline, OwnSensor, Pose
-from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.sensing import LidarSensor, sensor_pose, to_world
 from mast_zenoh.tracking.kalman import predicted
 from mast_zenoh.v2x.tracks import orientation_of, rotation_of

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.fusion.pipelines.collation import Collated, CollatingNode
 from mast_zenoh.integrity.views import collated_columns
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context
-from mast_zenoh.pipelines.collation import Collated, CollatingNode
-from mast_zenoh.runtime.mesh.hosting import main
 
 
 class Broker(CollatingNode):

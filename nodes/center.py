@@ -12,14 +12,14 @@ import numpy as np
 
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.fusion.input_limit import InputLimit
+from mast_zenoh.fusion.pipelines import Pipeline
+from mast_zenoh.fusion.pipelines.collation import Collated, CollatingNode
+from mast_zenoh.fusion.pipelines.fusing import FusingNode
 from mast_zenoh.fusion.regions import ServedArea
 from mast_zenoh.gather import MAX_AGE_S, LatestBefore
 from mast_zenoh.integrity.views import view_of
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Received
-from mast_zenoh.pipelines import Pipeline
-from mast_zenoh.pipelines.collation import Collated, CollatingNode
-from mast_zenoh.pipelines.fusing import FusingNode
-from mast_zenoh.runtime.mesh.hosting import main
 
 
 class Center(CollatingNode, FusingNode):

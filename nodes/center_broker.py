@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.fusion.pipelines.collation import CollatingNode
 from mast_zenoh.gather import MAX_AGE_S
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Received
-from mast_zenoh.pipelines.collation import CollatingNode
-from mast_zenoh.runtime.mesh.hosting import main
 
 
 class CenterBroker(CollatingNode):

@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mast_zenoh.gather import LatestBefore
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.messages.packed import Packed
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.v2x import BackgroundStations, OfdmTiming, RadioChannel, Transmissions, arrivals
 
 #: Ports of the two kinds of messages, which are lost separately.

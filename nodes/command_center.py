@@ -6,11 +6,11 @@ from collections import deque
 from collections.abc import Mapping
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.fusion.pipelines import Pipeline
+from mast_zenoh.fusion.pipelines.fusing import FusingNode
 from mast_zenoh.integrity.views import SweptView, views_of
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Received
-from mast_zenoh.pipelines import Pipeline
-from mast_zenoh.pipelines.fusing import FusingNode
-from mast_zenoh.runtime.mesh.hosting import main
 
 #: Views that wait for their batches, at most; the oldest are dropped.
 MAX_WAITING = 64

@@ -15,9 +15,9 @@ from mast_zenoh.attacks.campaign import shortfall
 from mast_zenoh.attacks.knowledge import CentreMessages
 from mast_zenoh.attacks.surroundings import UNKNOWN
 from mast_zenoh.gather import Gather
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.view import SensorView
 
 

@@ -24,8 +24,8 @@ from mast_zenoh.gather import Gather, LatestBefore, plausible
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView, check_view, view_of
 from mast_zenoh.integrity.visibility import clear_in_view
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
 
 #: By which objects a driver can drive: what is there, its agent's own tracks, or its agent's mission estimate.

@@ -19,15 +19,17 @@ from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.driving import CarLimits, Command, RouteAhead
 from mast_zenoh.driving.actuation import HOLD_S, TAKE_OVER_S
-from mast_zenoh.effects import ReportedPose
 from mast_zenoh.errors import MessageError
 from mast_zenoh.evaluation import Evaluation, RunData, RunScoring, ego_of
 from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth, TrueFrame
 from mast_zenoh.evaluation.driver_wires import PlayedDrivers, check_played, driver_ports, drivers_of
+from mast_zenoh.evaluation.effects import ReportedPose
 from mast_zenoh.evaluation.estimate_wires import estimates_on
 from mast_zenoh.evaluation.run_data import ArrivedEstimate, Heard, OwnView
 from mast_zenoh.gather import plausible_rows
 from mast_zenoh.integrity.views import check_view, view_of
+from mast_zenoh.mesh.hosting import main
+from mast_zenoh.mesh.protocol.pacer import SETTLE_EVERY
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics import (
     AttributionLimits,
@@ -44,8 +46,6 @@ from mast_zenoh.metrics.estimates import LOCAL, PICTURE, TRUTH
 from mast_zenoh.metrics.record import Snapshot
 from mast_zenoh.metrics.trust import TrustUpdate
 from mast_zenoh.node import Context, Node, Overheard
-from mast_zenoh.runtime.mesh.hosting import main
-from mast_zenoh.runtime.protocol.pacer import SETTLE_EVERY
 from mast_zenoh.wiring.model import ANY, Wiring, agent_of, wire_key
 
 #: Number of steps within which a message that is forwarded unchanged is recognised.

@@ -29,10 +29,10 @@ from mast_zenoh.links import (
     has_frame,
     type_number,
 )
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.wiring.model import ANY, DOWN, agent_of, part_of, wire_key
 
 

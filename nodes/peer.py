@@ -28,18 +28,18 @@ import numpy as np
 from mast_zenoh.arrays.geometry import NO_OFFSET, NO_TURN, heading, rotation_from_quaternion, tracks_in_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion.input_limit import InputLimit
+from mast_zenoh.fusion.pipelines import Pipeline
+from mast_zenoh.fusion.pipelines.admission import Admission
+from mast_zenoh.fusion.pipelines.fusing import FusingNode, is_view
+from mast_zenoh.fusion.pipelines.heard import AgentTracks, HeardTracks
+from mast_zenoh.fusion.pipelines.inbox import MAX_WAITING, Inbox
+from mast_zenoh.fusion.pipelines.relays import Relay, Relays
 from mast_zenoh.gather import MAX_AGE_S, Gather, Newest, plausible, plausible_rows
 from mast_zenoh.integrity.views import view_of
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.messages.limits import RowChoice
 from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.node import Context, Received
-from mast_zenoh.pipelines import Pipeline
-from mast_zenoh.pipelines.admission import Admission
-from mast_zenoh.pipelines.fusing import FusingNode, is_view
-from mast_zenoh.pipelines.heard import AgentTracks, HeardTracks
-from mast_zenoh.pipelines.inbox import MAX_WAITING, Inbox
-from mast_zenoh.pipelines.relays import Relay, Relays
-from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
 from mast_zenoh.v2x import CamGeneration, CongestionControl, GenerationRules, Vehicle
 from mast_zenoh.v2x.station import Station

@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import Any
 
 from mast_zenoh.errors import MessageError
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.messages import codec
 from mast_zenoh.node import Context, Node, Overheard
 from mast_zenoh.run_folder.recording.format import JOINED, LEFT, REWIRED, RecordedEvent
 from mast_zenoh.run_folder.recording.writer import MessageLog
-from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.wiring.model import ANY
 
 

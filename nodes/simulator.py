@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Source
-from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Recording
 from mast_zenoh.wiring.model import subject_of
 

@@ -5,9 +5,9 @@ from functools import partial
 
 import zenoh
 
-from mast_zenoh.runtime.mesh.session import open_router
-from mast_zenoh.security.credentials import ROUTER
-from mast_zenoh.security.levels import endpoint, router_settings
+from mast_zenoh.mesh.security.credentials import ROUTER
+from mast_zenoh.mesh.security.levels import endpoint, router_settings
+from mast_zenoh.mesh.session import open_router
 from mast_zenoh.study.attacked_run import Outcome, listen
 from mast_zenoh.study.defences import words
 from mast_zenoh.study.definition import Attempt

@@ -72,7 +72,7 @@ def test_a_path_through_the_code_has_few_files_and_every_name_leads_to_the_next(
         if name in CROSSINGS:
             continue
         code = names_in(definition(path, name))
-        published |= code if path.startswith(("nodes/", "mast_zenoh/pipelines/")) else set()
+        published |= code if path.startswith(("nodes/", "mast_zenoh/fusion/pipelines/")) else set()
         if next_name in CROSSINGS:
             continue
         last = next_name.rpartition(".")[2]

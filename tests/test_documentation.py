@@ -74,7 +74,7 @@ def test_lists_of_modules_in_docstrings_of_packages_name_only_what_exists() -> N
 
 
 def test_lists_of_modules_of_viewers_are_complete() -> None:
-    for folder in (PACKAGE / name for name in ("viewer", "runs", "runs/live", "report/film")):
+    for folder in (PACKAGE / name for name in ("show/page", "runs", "runs/live", "show/film")):
         words = re.findall(r"\w+", ast.get_docstring(ast.parse((folder / "__init__.py").read_text("utf-8"))) or "")
         modules = {path.stem for path in folder.glob("*.py")} - {"__init__"}
         assert modules <= set(words), folder

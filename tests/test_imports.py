@@ -113,8 +113,7 @@ def test_the_top_level_of_the_package_has_few_modules() -> None:
     assert len([*PACKAGE.glob("*.py")]) <= MAX_TOP_LEVEL
 
 
-ALGORITHMS = {"tracking", "fusion", "pipelines", "attacks", "effects", "evaluation", "metrics", "links", "faults"}
-ALGORITHMS |= {"v2x"}
+ALGORITHMS = {"tracking", "fusion", "attacks", "evaluation", "metrics", "links", "faults", "v2x"}
 PURE = [path for path in FILES if path.relative_to(PACKAGE).parts[0] in ALGORITHMS]
 #: Files that make Stone Soup's timestamps, which are datetimes, of the times of messages.
 STONE_SOUP = ("stone_soup_objects.py", "stone_soup_default.py")
@@ -137,7 +136,7 @@ DECISIONS_OF_THE_LAUNCHER = ("launcher_protocol.py", "supervisor.py", "ending.py
 PROTOCOL = [
     *PACKAGE.glob("*/protocol/*.py"),
     *(PACKAGE / "testing" / "simulation").glob("*.py"),
-    *(PACKAGE / "runtime" / name for name in ("host.py", "waiting.py")),
+    *(PACKAGE / "mesh" / name for name in ("host.py", "waiting.py")),
     *(PACKAGE / "launch" / name for name in DECISIONS_OF_THE_LAUNCHER),
 ]
 #: The simulation draws its delays, from a seed.

@@ -13,8 +13,14 @@ from mast_zenoh.study import trial
 PACKAGE = Path(mast_zenoh.__file__).parent
 
 
-RUN_BY_NODES = ("kernels/tracks.pyx", "kernels/arrays.pxd", "tracking/kalman.py", "node.py", "effects/passages.py")
-OTHERS = ("report/page.py", "cli/app.py", "launch/run.py", "__main__.py")
+RUN_BY_NODES = (
+    "kernels/tracks.pyx",
+    "kernels/arrays.pxd",
+    "tracking/kalman.py",
+    "node.py",
+    "evaluation/effects/passages.py",
+)
+OTHERS = ("show/page.py", "cli/app.py", "launch/run.py", "__main__.py")
 
 
 def test_the_fingerprint_changes_exactly_with_the_sources_that_nodes_run(tmp_path: Path) -> None:
@@ -28,10 +34,10 @@ def test_the_fingerprint_changes_exactly_with_the_sources_that_nodes_run(tmp_pat
     assert version.fingerprint(PACKAGE) == version.fingerprint()
 
 
-def test_nodes_run_every_layer_below_the_checks() -> None:
+def test_nodes_run_every_layer_below_the_launcher() -> None:
     below = run_by_nodes()
-    assert {"runtime", "scenario", "kernels", "tracking", "pipelines"} <= below
-    assert not {"__main__", "cli", "study", "report", "deploy", "launch", "checks"} & below
+    assert {"mesh", "scenario", "kernels", "tracking", "fusion"} <= below
+    assert not {"__main__", "cli", "study", "show", "deploy", "launch"} & below
     assert below <= LAYERS.keys()
 
 

@@ -22,7 +22,7 @@ from mast_zenoh.integrity import Batch, Integrity, Made, SequentialConsistency
 from mast_zenoh.integrity.alarms import Tail
 from mast_zenoh.integrity.made import match_losses
 from mast_zenoh.integrity.views import views_of
-from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.mesh.inproc import InProcess
 
 SCENES = range(4)
 BLOCK_FRAMES = 100  # 10 s: statistics of two blocks are nearly independent

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.launch import live_interception
-from mast_zenoh.report.film.look import Look
-from mast_zenoh.report.film.writing import animate
-from mast_zenoh.runtime.mesh.session import open_client
+from mast_zenoh.mesh.session import open_client
+from mast_zenoh.show.film.look import Look
+from mast_zenoh.show.film.writing import animate
 
 WIRE, NAME = "agent/infra_2/tracks", "adversary"
 #: Frames: of the run, in which insertion and release are requested, and of the film.

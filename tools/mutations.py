@@ -27,9 +27,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("fusion", "tracking", "attacks", "wiring", "runtime", "messages", "control", "evaluation", "integrity")
+ROOMS = ("fusion", "tracking", "attacks", "wiring", "mesh", "messages", "evaluation", "integrity")
 #: Tests of a room that are in other folders.
-BESIDE = {"runtime": ("simulation", "mesh"), "evaluation": ("nodes/test_evaluator.py", "effects")}
+BESIDE = {"mesh": ("simulation", "runtime", "control"), "evaluation": ("nodes/test_evaluator.py", "effects")}
 #: s that the tests of a room may take; a change with which they take longer is noticed by that.
 DEADLINE_S = 900
 

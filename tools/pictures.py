@@ -20,10 +20,10 @@ from chromium import Unavailable
 import mast_zenoh as mast
 from mast_zenoh.errors import nearest
 from mast_zenoh.launch import twin
-from mast_zenoh.report import html
+from mast_zenoh.show import html
+from mast_zenoh.show.page.live_server import PageServer
+from mast_zenoh.show.page.page import policy, viewer_page
 from mast_zenoh.study import definition, interface
-from mast_zenoh.viewer.page.live_server import PageServer
-from mast_zenoh.viewer.page.page import policy, viewer_page
 
 FOLDER = Path(__file__).parents[1] / "docs" / "images"
 #: The frame of the attacked run that pictures show: long after the attack began.

@@ -20,9 +20,9 @@ from pathlib import Path
 from mast_zenoh.config.allowed_code import AllowedCode
 from mast_zenoh.config.resolved import RECORDING, Resolved, has_topics_outside
 from mast_zenoh.errors import ConfigurationError, MastError, RunFolderError
+from mast_zenoh.mesh.hosting import build
+from mast_zenoh.mesh.protocol_log import MAX_BYTES, PROTOCOL_LOGS, ProcessLog, difference, read, replay
 from mast_zenoh.run_folder.files import check_plain, open_plain
-from mast_zenoh.runtime.mesh.hosting import build
-from mast_zenoh.runtime.protocol_log import MAX_BYTES, PROTOCOL_LOGS, ProcessLog, difference, read, replay
 
 
 def logs_in(path: Path) -> list[ProcessLog]:

@@ -36,7 +36,6 @@ from disturbing import PlanResult, left_behind, numbers, parser, report_results
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from mast_zenoh.control import prefix
 from mast_zenoh.errors import (
     HandlerFailed,
     NodeDied,
@@ -45,9 +44,10 @@ from mast_zenoh.errors import (
     StallError,
     StartError,
 )
+from mast_zenoh.mesh.control import prefix
+from mast_zenoh.mesh.protocol.traffic import stamp_of
+from mast_zenoh.mesh.session import open_observer
 from mast_zenoh.run_folder.recording.difference import compare, explain
-from mast_zenoh.runtime.mesh.session import open_observer
-from mast_zenoh.runtime.protocol.traffic import stamp_of
 
 FRAMES, WATCHED_FRAMES = 150, 300  # a watched run lasts until its watcher is there, and longer
 LATEST = 0.9  # of the frames of a watched run: the latest at which its watcher is suspended

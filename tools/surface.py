@@ -20,7 +20,7 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
     ),
     "tracker": ("mast_zenoh.tracking.Tracker", "mast_zenoh.tracking.Assignment"),
     "fusion": (
-        "mast_zenoh.pipelines.Pipeline",
+        "mast_zenoh.fusion.pipelines.Pipeline",
         "mast_zenoh.fusion.Clusterer",
         "mast_zenoh.fusion.Fusion",
         "mast_zenoh.fusion.GroupTracker",
@@ -38,8 +38,8 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
         "mast_zenoh.v2x.CamGeneration",
         "mast_zenoh.v2x.RadioChannel",
     ),
-    "check": ("mast_zenoh.checks.RunCheck",),
-    "report figure": ("mast_zenoh.report.RunFigure",),
+    "check": ("mast_zenoh.launch.checks.RunCheck",),
+    "report figure": ("mast_zenoh.show.RunFigure",),
     "deployment engine": ("mast_zenoh.launch.engine.Engine",),
 }
 

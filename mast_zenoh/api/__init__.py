@@ -7,5 +7,5 @@ See docs/python.md.
     scenes       scene: truth, poses and detections of a scene, without a run
     catalogue    list: what a scenario can name, with its parameters: defaults, units, meanings
 
-`mast.compare` is in mast_zenoh.report.compare, `mast.study` in mast_zenoh.study.interface.
+`mast.compare` is in mast_zenoh.show.compare, `mast.study` in mast_zenoh.study.interface.
 """

@@ -22,11 +22,11 @@ from mast_zenoh.driving.following import IntelligentDriverModel
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault
 from mast_zenoh.faults.network import HostPartition
+from mast_zenoh.fusion.pipelines import AgentPipeline, MissionEstimator, Pipeline
 from mast_zenoh.messages.packed import CODECS
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
 from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.node import Node
-from mast_zenoh.pipelines import AgentPipeline, MissionEstimator, Pipeline
 
 #: Units by the end of a parameter's name, longest first.
 _SUFFIXES = {

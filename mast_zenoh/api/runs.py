@@ -12,10 +12,10 @@ from mast_zenoh.run_folder import reading
 from mast_zenoh.runs.run import Run
 
 if TYPE_CHECKING:  # drawing libraries are slow to load
-    from mast_zenoh.report.figures.plots import Plots
-    from mast_zenoh.report.film.look import Look
-    from mast_zenoh.report.findings.finding import Finding
-    from mast_zenoh.viewer.export import Exported
+    from mast_zenoh.show.export import Exported
+    from mast_zenoh.show.figures.plots import Plots
+    from mast_zenoh.show.film.look import Look
+    from mast_zenoh.show.findings.finding import Finding
 
 
 class OpenedRun(Run):
@@ -39,7 +39,7 @@ class OpenedRun(Run):
 
         With drivers, what happened to their cars comes first.
         """
-        from mast_zenoh.report.findings import headline
+        from mast_zenoh.show.findings import headline
 
         with reading(self.path):
             return f"{headline(self._now())}."
@@ -47,7 +47,7 @@ class OpenedRun(Run):
     @property
     def findings(self) -> list[Finding]:
         """What the report says, as data, in its order: what failed, what changed and why, what adversaries did."""
-        from mast_zenoh.report.findings import findings
+        from mast_zenoh.show.findings import findings
 
         with reading(self.path):
             return findings(self._now())
@@ -55,7 +55,7 @@ class OpenedRun(Run):
     @property
     def plot(self) -> Plots:
         """The report's figures: `run.plot.birdseye(frame=64)`, `run.plot.over_time("fp")`."""
-        from mast_zenoh.report.figures.plots import Plots
+        from mast_zenoh.show.figures.plots import Plots
 
         return Plots({self.name: self._now()})
 
@@ -64,7 +64,7 @@ class OpenedRun(Run):
 
         frame: the frame that figures show;  against: another run of the same scene and seed, to compare with
         """
-        from mast_zenoh.report import html as page
+        from mast_zenoh.show import html as page
 
         with reading(self.path):
             return page.write_report(self.path, frame, None if against is None else against.path)
@@ -77,7 +77,7 @@ class OpenedRun(Run):
         Returns the paths that were written, and what the run's record lacks. Raises ExportError for a package that is
         not installed or a path that exists, RunFolderError for a run in progress or a damaged recording.
         """
-        from mast_zenoh.viewer.export import export
+        from mast_zenoh.show.export import export
 
         with reading(self.path):
             return export(self.path, to, Path(out))
@@ -103,7 +103,7 @@ class OpenedRun(Run):
         Raises ExportError for the file or without ffmpeg, RunFolderError for a run in progress or a frame that the run
         does not have, ConfigurationError for an invalid option.
         """
-        from mast_zenoh.report.film import writing
+        from mast_zenoh.show.film import writing
 
         options: dict[str, Any] = {"start": start, "end": end, "speed": speed, "fps": fps}
         other = None if against is None else against.path
@@ -119,7 +119,7 @@ class OpenedRun(Run):
         out:   a new file that ends with .pdf, .svg or .png;  frame: None: the one that the report shows
         Further parameters and errors are those of `animate`.
         """
-        from mast_zenoh.report.film import writing
+        from mast_zenoh.show.film import writing
 
         other = None if against is None else against.path
         with reading(self.path):
@@ -143,7 +143,7 @@ class OpenedRun(Run):
 
 def _look(options: dict[str, Any]) -> Look:
     """The options of a film; raises ConfigurationError for an unknown one."""
-    from mast_zenoh.report.film.look import Look
+    from mast_zenoh.show.film.look import Look
 
     known = [field.name for field in fields(Look)]
     if unknown := [name for name in options if name not in known]:

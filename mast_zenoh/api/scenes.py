@@ -27,7 +27,7 @@ from mast_zenoh.scenes.making.sensor_types import SensorsByAgent
 from mast_zenoh.sensing import Detector
 
 if TYPE_CHECKING:
-    from mast_zenoh.report.figures.style import Figure
+    from mast_zenoh.show.figures.style import Figure
 
 #: Arguments of `scenes.from_arrays`, and those of them that are needed.
 _ARRAYS = tuple(inspect.signature(scenes.from_arrays).parameters)
@@ -119,7 +119,7 @@ class PreparedScene:
         """
         if not 0 <= frame < len(self):
             raise ConfigurationError(f"{self.name}: frame is {frame}, expected 0 to {len(self) - 1}")
-        from mast_zenoh.report.figures.scene import scene_figure  # Matplotlib takes longer than preparing a scene
+        from mast_zenoh.show.figures.scene import scene_figure  # Matplotlib takes longer than preparing a scene
 
         return scene_figure(self.recording, frame)
 

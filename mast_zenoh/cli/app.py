@@ -137,7 +137,7 @@ def study(
     finished = interface.run(loaded, out, **chosen, frames=frames, seed=seed, runtime=runtime, console=_out)
     if isinstance(finished, interface.ComparisonResult):
         with options.reporting(finished.out):
-            from mast_zenoh.report import html, terminal  # after the runs: drawing libraries are slow to load
+            from mast_zenoh.show import html, terminal  # after the runs: drawing libraries are slow to load
 
             terminal.show(_out, finished.folders)
             if driven := finished.drive():

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.config import bundle
-from mast_zenoh.viewer.formats import FORMATS
+from mast_zenoh.show.formats import FORMATS
 
 _MAX_FOLDERS = 50
 #: What may go into a command line: a shell would run other names.

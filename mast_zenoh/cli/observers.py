@@ -148,9 +148,9 @@ def join(
     allowed: which of the code that the run folder names may run
     prepare: called with the title of the run before it is waited for
     """
+    from mast_zenoh.mesh import hosting
     from mast_zenoh.runs.live import address
     from mast_zenoh.runs.live.measurement import evaluator_class
-    from mast_zenoh.runtime.mesh import hosting
 
     evaluator_class()  # before the run begins
     remote, folder = is_router(target), Path(target)
@@ -174,8 +174,8 @@ def _delete_keys_of_the_dead(folder: Path) -> None:
     from mast_zenoh.config.allowed_code import SHIPPED
     from mast_zenoh.launch import liveness
     from mast_zenoh.launch.context import VIEWER_CREDENTIALS
-    from mast_zenoh.security.credentials import VIEWER
-    from mast_zenoh.security.deployment import KEYS
+    from mast_zenoh.mesh.security.credentials import VIEWER
+    from mast_zenoh.mesh.security.deployment import KEYS
 
     try:
         liveness.check_from_here(folder, record_of(folder), SHIPPED, "a folder of keys")

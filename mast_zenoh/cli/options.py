@@ -19,13 +19,13 @@ from typer.core import TyperCommand
 from mast_zenoh.cli import completion
 from mast_zenoh.errors import DiskFull, HandlerFailed, Interrupted, NotComparable, RunFolderError
 from mast_zenoh.launch import ending
-from mast_zenoh.security import levels
+from mast_zenoh.mesh.security import levels
 
 if TYPE_CHECKING:
     from mast_zenoh.config.allowed_code import AllowedCode
     from mast_zenoh.launch.run import EndedRun
-    from mast_zenoh.report.comparison import Reference
     from mast_zenoh.runs.run import Run
+    from mast_zenoh.show.comparison import Reference
 
 
 #: Control characters except tab and line feed, and characters that change the direction of text.
@@ -202,7 +202,7 @@ def reporting(folder: Path, command: str = "report", *, complete: bool = True) -
     except (KeyboardInterrupt, OSError) as exception:
         raise ending.with_hint(exception, hint) from None
     except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError) as exception:
-        from mast_zenoh.control import failures  # decodes messages: commands that run nothing do not load it
+        from mast_zenoh.mesh.control import failures  # decodes messages: commands that run nothing do not load it
 
         description = failures.described(exception)
         raise RunFolderError(f"{folder}: the evaluator's results cannot be reported: {description}") from exception
@@ -210,8 +210,8 @@ def reporting(folder: Path, command: str = "report", *, complete: bool = True) -
 
 def _show(finished: EndedRun, *, report: bool, against: str | None) -> tuple[RunFolderError | None, Reference | None]:
     """Show a run's results; returns (why it was not compared, the reference run)."""
-    from mast_zenoh.report import terminal
     from mast_zenoh.runs.run import Run
+    from mast_zenoh.show import terminal
 
     scored = (finished.folder / "metrics.json").is_file()
     run = Run(finished.folder)
@@ -221,7 +221,7 @@ def _show(finished: EndedRun, *, report: bool, against: str | None) -> tuple[Run
     if scored:
         terminal.show_loaded(out, run, reference)
     if report:
-        from mast_zenoh.report import html  # drawing libraries are slow to load
+        from mast_zenoh.show import html  # drawing libraries are slow to load
 
         out.plain(f"report: {html.write_page(run, reference=reference)}")
     else:
@@ -233,7 +233,7 @@ def _show(finished: EndedRun, *, report: bool, against: str | None) -> tuple[Run
 def _reference(run: Run, against: str, *, interrupted: bool) -> tuple[Reference | None, RunFolderError | None]:
     """The run to compare with, or why that is not possible."""
     from mast_zenoh.config.allowed_code import OWN_RUN
-    from mast_zenoh.report import comparison
+    from mast_zenoh.show import comparison
 
     if interrupted:
         return None, NotComparable(f"{run.path}: was interrupted: expected a finished run")
@@ -305,7 +305,7 @@ def show_notices(finished: EndedRun, label: str = "") -> None:
     for notice in notices:
         (err if out.quiet else out).print(f"{label}{notice}", style="yellow", markup=False, highlight=False)
     if finished.failures and not isinstance(finished.error, HandlerFailed):
-        from mast_zenoh.control import failures
+        from mast_zenoh.mesh.control import failures
 
         warning = failures.summary(finished.failures, finished.logs)
         err.warn(warning, label)

@@ -17,10 +17,10 @@ from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, ExportError
 from mast_zenoh.launch import stop_signals
 from mast_zenoh.run_folder import reading
-from mast_zenoh.viewer.formats import FORMATS, GONE, check
+from mast_zenoh.show.formats import FORMATS, GONE, check
 
 if TYPE_CHECKING:
-    from mast_zenoh.report.film.look import Look
+    from mast_zenoh.show.film.look import Look
 
 
 _POLL_S = 0.2  # for new lines of logs
@@ -65,7 +65,7 @@ def report(
     A run without metrics is measured first, if it was recorded.
     """
     from mast_zenoh.launch import measurement
-    from mast_zenoh.report import html, terminal
+    from mast_zenoh.show import html, terminal
 
     options.check_reference(against)
     if missing := next((file for file in figures or () if not file.is_file()), None):
@@ -114,7 +114,7 @@ def export(
 ) -> None:
     """Write a finished run in another format."""
     from mast_zenoh.runs.recorded import open_recorded
-    from mast_zenoh.viewer import export as formats
+    from mast_zenoh.show import export as formats
 
     with reading(run_folder):
         if out is None:
@@ -149,7 +149,7 @@ def animate(
     fps: Annotated[float | None, typer.Option(help="Images per second. Default: every frame, at most 30.")] = None,
 ) -> None:
     """Write a film of a finished run."""
-    from mast_zenoh.report.film import writing  # drawing libraries are slow to load
+    from mast_zenoh.show.film import writing  # drawing libraries are slow to load
 
     look = _look(locals())
     with reading(run_folder):
@@ -174,7 +174,7 @@ def snapshot(
     captions: Captions = None,
 ) -> None:
     """Write one frame of a finished run as a figure."""
-    from mast_zenoh.report.film import writing
+    from mast_zenoh.show.film import writing
 
     look = _look(locals())
     with reading(run_folder):
@@ -187,7 +187,7 @@ _LOOK = ("agent", "camera", "window", "theme", "size", "dpi", "plain", "title")
 
 def _look(values: Mapping[str, Any]) -> Look:
     """What a film or a still shows, by the options of its command."""
-    from mast_zenoh.report.film.look import Look
+    from mast_zenoh.show.film.look import Look
 
     estimates, captions = (tuple(values[name] or ()) for name in ("estimates", "captions"))
     chosen = {name: values[name] for name in _LOOK}
@@ -378,7 +378,7 @@ def replay(
 
     Lock-step, or real time with --rate. Without changes, a lock-step recording gives the recorded picture.
     """
-    from mast_zenoh import replay as replays
+    from mast_zenoh.launch import replay as replays
     from mast_zenoh.launch import run as launcher
 
     options.refuse(against == "twin", "a replay has no twin: expected the recorded run, or another one", "--against")

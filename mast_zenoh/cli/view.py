@@ -65,8 +65,8 @@ def view(
 
 def _show_finished(folders: list[Path], frame: int | None, port: int, browser: bool) -> None:
     """Show one finished run, or two, in a browser until Ctrl-C."""
-    from mast_zenoh.viewer.page.live_server import PageServer
-    from mast_zenoh.viewer.page.page import policy, viewer_page
+    from mast_zenoh.show.page.live_server import PageServer
+    from mast_zenoh.show.page.page import policy, viewer_page
 
     with reading(folders[-1]):
         page = viewer_page(folders, frame)
@@ -116,8 +116,8 @@ def observe(target: str, run: str, port: int, allowed: AllowedCode, *, browser: 
     allowed: which of the code that the run folder names may run
     """
     from mast_zenoh.runs.live.priority import yield_processors
-    from mast_zenoh.viewer.page import live_view
-    from mast_zenoh.viewer.page.live_server import Feed, LiveServer
+    from mast_zenoh.show.page import live_view
+    from mast_zenoh.show.page.live_server import Feed, LiveServer
 
     servers = []
     with ExitStack() as stack:
@@ -133,7 +133,7 @@ def observe(target: str, run: str, port: int, allowed: AllowedCode, *, browser: 
 
 def announce(url: str, browser: bool) -> None:
     """Print the address of a page on this computer, and open it if wanted."""
-    from mast_zenoh.viewer.page.live_server import tunnel
+    from mast_zenoh.show.page.live_server import tunnel
 
     print_line(f"view: {url}")
     print_line(f"from another computer: {tunnel(url)}")

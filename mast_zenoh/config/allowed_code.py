@@ -17,7 +17,7 @@ from mast_zenoh.errors import UntrustedCode
 
 _KINDS = ("nodes", "scenarios", "studies")
 #: Of nodes that play what was recorded; they are part of the package.
-_PLAYER = ("mast_zenoh", "runtime", "player.py")
+_PLAYER = ("mast_zenoh", "mesh", "player.py")
 
 
 @dataclass(frozen=True)

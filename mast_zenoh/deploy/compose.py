@@ -24,7 +24,7 @@ from mast_zenoh.errors import EngineError
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.processes import end_process
 from mast_zenoh.launch.supervisor import Child, how_ended
-from mast_zenoh.security.deployment import Deployment
+from mast_zenoh.mesh.security.deployment import Deployment
 
 _MAKE_S = 600.0  # for docker-compose to make networks and containers
 _LOG_S = 60.0  # for Docker to print a log

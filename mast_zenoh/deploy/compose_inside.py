@@ -21,19 +21,19 @@ from typing import IO, Any
 import zenoh
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.control import control_prefix, flow, prefix
-from mast_zenoh.control.key_marks import control_mark
-from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.deploy import documents
 from mast_zenoh.deploy.compose import Compose
 from mast_zenoh.deploy.engine import join, write_settings
 from mast_zenoh.errors import BackendError, EngineError
 from mast_zenoh.launch.context import Mesh, RunContext, deployment_of
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.runtime.mesh import hosting
-from mast_zenoh.runtime.mesh.hosting import UP
-from mast_zenoh.runtime.mesh.session import direct
-from mast_zenoh.security.credentials import Credentials
+from mast_zenoh.mesh import hosting
+from mast_zenoh.mesh.control import control_prefix, flow, prefix
+from mast_zenoh.mesh.control.key_marks import control_mark
+from mast_zenoh.mesh.control.signatures import Signatures
+from mast_zenoh.mesh.hosting import UP
+from mast_zenoh.mesh.security.credentials import Credentials
+from mast_zenoh.mesh.session import direct
 
 #: How long nodes and router stay after the launcher has gone, s; its container has ended by then.
 PATIENCE_S = 3.0

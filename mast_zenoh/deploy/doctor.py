@@ -17,8 +17,8 @@ from mast_zenoh.deploy import docker as engine
 from mast_zenoh.deploy.compose import command
 from mast_zenoh.errors import BackendError, EngineError
 from mast_zenoh.launch.netns import shaping
-from mast_zenoh.runtime.mesh.session import open_router
-from mast_zenoh.security import explain
+from mast_zenoh.mesh.security import explain
+from mast_zenoh.mesh.session import open_router
 
 
 class Diagnosis(NamedTuple):

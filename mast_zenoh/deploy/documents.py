@@ -25,9 +25,9 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.deploy.docker import BASE, USER, launcher_tag
 from mast_zenoh.deploy.engine import CREDENTIALS, NUMERIC_VARIABLES, ROUTER_SETTINGS
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.runtime.mesh.hosting import UP
-from mast_zenoh.security import levels
-from mast_zenoh.security.credentials import AUTHORITY, CERTIFICATE, CONTROL, KEY
+from mast_zenoh.mesh.hosting import UP
+from mast_zenoh.mesh.security import levels
+from mast_zenoh.mesh.security.credentials import AUTHORITY, CERTIFICATE, CONTROL, KEY
 
 COMPOSE_FILE = "compose.yml"
 ROUTER = "router"

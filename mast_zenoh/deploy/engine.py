@@ -25,10 +25,10 @@ from mast_zenoh.errors import CredentialsError, DiskFull, EngineError, Interrupt
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.runtime.mesh.session import open_client
-from mast_zenoh.security import explain, levels
-from mast_zenoh.security.credentials import UNREACHED, Credentials
-from mast_zenoh.security.deployment import Deployment
+from mast_zenoh.mesh.security import explain, levels
+from mast_zenoh.mesh.security.credentials import UNREACHED, Credentials
+from mast_zenoh.mesh.security.deployment import Deployment
+from mast_zenoh.mesh.session import open_client
 
 CREDENTIALS = "credentials"  # folder in the run folder, while the run lasts
 ROUTER_SETTINGS = "router.json"

@@ -4,7 +4,7 @@
     mast-node --router --run ID --listen tcp/0.0.0.0:7447 [--settings FILE] [--patience S]
 
 There is no run folder here: a node fetches its files from the launcher, and sends it the files that it writes
-(`runtime.file_client`). It leaves when the launcher has been away for a while (`LauncherWatch`).
+(`mesh.file_client`). It leaves when the launcher has been away for a while (`LauncherWatch`).
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ import zenoh
 from mast_zenoh import version
 from mast_zenoh.config.allowed_code import OWN_RUN
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control.flow import LEAVE
 from mast_zenoh.errors import MastError, StartError
-from mast_zenoh.runtime.file_client import FileClient, HandIn, files_written_by
-from mast_zenoh.runtime.mesh import hosting
-from mast_zenoh.runtime.mesh.hosting import LauncherWatch
-from mast_zenoh.runtime.mesh.session import open_router
-from mast_zenoh.runtime.strays import end_own_strays
-from mast_zenoh.security.credentials import Credentials
+from mast_zenoh.mesh import hosting
+from mast_zenoh.mesh.control.flow import LEAVE
+from mast_zenoh.mesh.file_client import FileClient, HandIn, files_written_by
+from mast_zenoh.mesh.hosting import LauncherWatch
+from mast_zenoh.mesh.security.credentials import Credentials
+from mast_zenoh.mesh.session import open_router
+from mast_zenoh.mesh.strays import end_own_strays
 
 #: Default time that a node continues without a launcher, s.
 PATIENCE_S = 30.0

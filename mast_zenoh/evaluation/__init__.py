@@ -4,7 +4,7 @@
     evaluation    the evaluation of some frames with mast_zenoh.metrics
     run_scoring   the evaluation of a run, block by block of its frames
     estimate_wires  which estimates are on the wires, and what can affect them
-    from_effects  manipulations, from the measured effects of interposers (mast_zenoh.effects)
+    from_effects  manipulations, from the measured effects of interposers (mast_zenoh.evaluation.effects)
     driven        what happened to the cars that drivers drove
     driver_wires  on which keys the messages of drivers are, also of those that a replay plays
     trust         what the command centre's trust was worth

@@ -14,7 +14,7 @@ from mast_zenoh.driving import Actuation, driver
 from mast_zenoh.driving.braking import Belief, Commands
 from mast_zenoh.driving.consequences import DrivenCar
 from mast_zenoh.driving.veto import Refutations, upheld
-from mast_zenoh.effects import CODE
+from mast_zenoh.evaluation.effects import CODE
 from mast_zenoh.evaluation.evaluation import Evaluation, ScoredFrames
 from mast_zenoh.evaluation.run_data import ArrivedEstimate, Heard, Item, OwnView
 from mast_zenoh.gather import LatestBefore

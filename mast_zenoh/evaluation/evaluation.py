@@ -11,9 +11,9 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.driving import CarLimits
 from mast_zenoh.driving.actuation import HOLD_S, TAKE_OVER_S
-from mast_zenoh.effects import EFFECTS, Effects, effects_of, reports
-from mast_zenoh.effects.reports import Agreement
 from mast_zenoh.evaluation import trust
+from mast_zenoh.evaluation.effects import EFFECTS, Effects, effects_of, reports
+from mast_zenoh.evaluation.effects.reports import Agreement
 from mast_zenoh.evaluation.from_effects import (
     add_pose_manipulations,
     displaced_by_links,

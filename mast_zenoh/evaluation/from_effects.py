@@ -10,9 +10,9 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.effects import EFFECTS, Effects
-from mast_zenoh.effects.passages import Spoof
-from mast_zenoh.effects.table import insertions
+from mast_zenoh.evaluation.effects import EFFECTS, Effects
+from mast_zenoh.evaluation.effects.passages import Spoof
+from mast_zenoh.evaluation.effects.table import insertions
 from mast_zenoh.evaluation.estimate_wires import Influences
 from mast_zenoh.metrics import AttributionLimits, Boxes, Manipulations, Scores
 from mast_zenoh.metrics.boxes import Places, nearest, occurs

@@ -11,8 +11,8 @@ import numpy as np
 
 from mast_zenoh.driving import Command
 from mast_zenoh.driving.motion import RouteAhead
-from mast_zenoh.effects import Meter, ReportedPose
 from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth
+from mast_zenoh.evaluation.effects import Meter, ReportedPose
 from mast_zenoh.evaluation.estimate_wires import Influences
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.messages.schemas import Body

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.driving.consequences import DrivenCar, consequences, course
-from mast_zenoh.effects import reports
-from mast_zenoh.effects.reports import ReportCounts
 from mast_zenoh.evaluation import trust
 from mast_zenoh.evaluation.driven import DrivenCars
+from mast_zenoh.evaluation.effects import reports
+from mast_zenoh.evaluation.effects.reports import ReportCounts
 from mast_zenoh.evaluation.evaluation import Earlier, Evaluation, ScoredFrames, by_agent, own_pictures
 from mast_zenoh.evaluation.from_effects import first_change
 from mast_zenoh.evaluation.run_data import RunData

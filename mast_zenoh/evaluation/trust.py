@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.effects import Effects
+from mast_zenoh.evaluation.effects import Effects
 from mast_zenoh.evaluation.estimate_wires import Influences
+from mast_zenoh.fusion.pipelines.relays import RELAY
 from mast_zenoh.integrity import STATES
 from mast_zenoh.metrics import Table
 from mast_zenoh.metrics.boxes import Places, nearest
@@ -25,7 +26,6 @@ from mast_zenoh.metrics.trust import (
     object_table,
     summary,
 )
-from mast_zenoh.pipelines.relays import RELAY
 
 #: m, in the bird's-eye view, from an object of the centre to the real object that it stands for.
 GATE_M = 2.0

@@ -21,7 +21,7 @@ from mast_zenoh.faults.plan import band
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 _MAX_HOSTS = 200
 
-#: A connection without an acknowledgement for 1.5 s ends (runtime/mesh/session.py); a round trip must take less.
+#: A connection without an acknowledgement for 1.5 s ends (mesh/session.py); a round trip must take less.
 _MAX_DELAY_MS = 500.0
 
 #: Valid ranges of parameters.

@@ -17,5 +17,7 @@ ending        maps endings to a status and an exit code;  liveness: whether the 
 log_reading   the logs of a run's nodes;  table_files: the tables that nodes hand in part by part
 display       progress on the console;  observation: what it shows, measured on the wires
 measurement   measures a run again from its recording
+replay/       puts a recorded run back on a mesh: recorded nodes before a cut, live nodes after it
+checks/       invariants of finished runs
 stop_signals  Ctrl-C, SIGTERM and SIGHUP
 """

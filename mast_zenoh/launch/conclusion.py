@@ -14,12 +14,12 @@ from mast_zenoh import run_folder
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved, driver_of
-from mast_zenoh.control import results
-from mast_zenoh.control.results import EVALUATOR, counts_of
-from mast_zenoh.control.tables import EXPECTED_NAME, MAX_TABLES, is_table_name
 from mast_zenoh.errors import MessageError, RunFolderError, SceneError
 from mast_zenoh.launch import idle, notices
 from mast_zenoh.launch.table_files import TableFiles
+from mast_zenoh.mesh.control import results
+from mast_zenoh.mesh.control.results import EVALUATOR, counts_of
+from mast_zenoh.mesh.control.tables import EXPECTED_NAME, MAX_TABLES, is_table_name
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.estimates import PICTURE

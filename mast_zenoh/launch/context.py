@@ -13,13 +13,13 @@ import zenoh
 from rich.markup import escape
 
 from mast_zenoh.config.resolved import Resolved, driver_of
-from mast_zenoh.control import prefix
-from mast_zenoh.control.codec import InvalidMessages
-from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.launch.launcher_protocol import RunState
 from mast_zenoh.launch.supervisor import Supervisor
-from mast_zenoh.security.control_keys import ControlKeys
-from mast_zenoh.security.deployment import Deployment
+from mast_zenoh.mesh.control import prefix
+from mast_zenoh.mesh.control.codec import InvalidMessages
+from mast_zenoh.mesh.control.signatures import Signatures
+from mast_zenoh.mesh.security.control_keys import ControlKeys
+from mast_zenoh.mesh.security.deployment import Deployment
 from mast_zenoh.wiring.model import Wiring
 
 #: Entry of run.json of a secure run with a viewer: the folder of the viewer's credentials.

@@ -23,14 +23,14 @@ import zenoh
 
 from mast_zenoh import version
 from mast_zenoh.config.resolved import RECORDING, Resolved
-from mast_zenoh.control import codec, control_prefix, files
-from mast_zenoh.control.failures import described
-from mast_zenoh.control.files import PIECE_BYTES
-from mast_zenoh.control.key_marks import check_control_mark
 from mast_zenoh.errors import MastError, MessageError, VersionMismatch
 from mast_zenoh.launch.context import RunContext
-from mast_zenoh.runtime.file_client import files_written_by
-from mast_zenoh.runtime.mesh.session import direct
+from mast_zenoh.mesh.control import codec, control_prefix, files
+from mast_zenoh.mesh.control.failures import described
+from mast_zenoh.mesh.control.files import PIECE_BYTES
+from mast_zenoh.mesh.control.key_marks import check_control_mark
+from mast_zenoh.mesh.file_client import files_written_by
+from mast_zenoh.mesh.session import direct
 from mast_zenoh.scenes.recording import Recording
 
 #: Requests of one node in the queue; it sends one at a time, and repeats it after five seconds.

@@ -28,7 +28,7 @@ import numpy as np  # noqa: E402
 
 from mast_zenoh.config import bundle, loading  # noqa: E402
 from mast_zenoh.launch.process_stat import stat_of  # noqa: E402
-from mast_zenoh.runtime.mesh.hosting import main, wake_when_orphaned  # noqa: E402
+from mast_zenoh.mesh.hosting import main, wake_when_orphaned  # noqa: E402
 
 #: Most bytes of a request.
 _MAX_REQUEST = 1 << 16
@@ -100,5 +100,5 @@ if __name__ == "__main__":
     with socket.socket(fileno=os.dup(0)) as to_launcher, contextlib.suppress(ConnectionError):  # the launcher has ended
         command = serve(to_launcher)
     if command is not None:
-        sys.argv = command[command.index("mast_zenoh.runtime") :]
+        sys.argv = command[command.index("mast_zenoh.mesh") :]
         main()

@@ -18,11 +18,11 @@ import numpy as np
 from mast_zenoh.attacks.campaign import COUNTS
 from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import nearest
 from mast_zenoh.evaluation.estimate_wires import estimates_on
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.launch.notices import Notice, notice
+from mast_zenoh.mesh.control.results import EVALUATOR
 from mast_zenoh.metrics import Metric
 from mast_zenoh.metrics.estimates import LOCAL
 from mast_zenoh.metrics.measures import label_of

@@ -13,10 +13,6 @@ from rich.markup import escape
 
 from mast_zenoh.config.process_steps import LEAVING
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.control import failures, flow
-from mast_zenoh.control import interception as control
-from mast_zenoh.control.failures import Entry
-from mast_zenoh.control.flow import StopKind, decode_reason
 from mast_zenoh.errors import (
     ConfigurationError,
     ImplausibleCounts,
@@ -31,8 +27,12 @@ from mast_zenoh.errors import (
 from mast_zenoh.launch import ending
 from mast_zenoh.launch.progress import Progress
 from mast_zenoh.launch.supervisor import Child, Supervisor
+from mast_zenoh.mesh.control import failures, flow
+from mast_zenoh.mesh.control import interception as control
+from mast_zenoh.mesh.control.failures import Entry
+from mast_zenoh.mesh.control.flow import StopKind, decode_reason
+from mast_zenoh.mesh.protocol.timetable import Timetable
 from mast_zenoh.run_folder.recording import churn
-from mast_zenoh.runtime.protocol.timetable import Timetable
 from mast_zenoh.wiring import insertion
 from mast_zenoh.wiring.insertion import InsertionPoint
 from mast_zenoh.wiring.model import Wiring

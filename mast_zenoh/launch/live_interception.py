@@ -26,11 +26,6 @@ from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved, build_node
 from mast_zenoh.config.settings import nested
-from mast_zenoh.control import codec, control_prefix
-from mast_zenoh.control import interception as control
-from mast_zenoh.control.files import decode_refusal
-from mast_zenoh.control.interception import answer_of, place_json
-from mast_zenoh.control.key_marks import check_control_mark, control_mark
 from mast_zenoh.errors import (
     ConfigurationError,
     MessageError,
@@ -42,9 +37,14 @@ from mast_zenoh.errors import (
 )
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.launcher_protocol import Interceptions, LauncherActions
+from mast_zenoh.mesh.control import codec, control_prefix
+from mast_zenoh.mesh.control import interception as control
+from mast_zenoh.mesh.control.files import decode_refusal
+from mast_zenoh.mesh.control.interception import answer_of, place_json
+from mast_zenoh.mesh.control.key_marks import check_control_mark, control_mark
+from mast_zenoh.mesh.session import direct, open_client
 from mast_zenoh.node import Node
 from mast_zenoh.run_folder import check_plain, read_json
-from mast_zenoh.runtime.mesh.session import direct, open_client
 from mast_zenoh.scenario.nodes import add_surroundings, node_spec
 from mast_zenoh.scenario.resolution import modules_of
 from mast_zenoh.scenes.recording import Recording

@@ -32,9 +32,9 @@ from mast_zenoh.errors import BackendError
 from mast_zenoh.launch.context import VIEWER_CREDENTIALS, Mesh, RunContext
 from mast_zenoh.launch.netns.hosts import Hosts
 from mast_zenoh.launch.processes import Processes
-from mast_zenoh.runtime.mesh.session import OBSERVERS, open_client, open_router, own_sockets
-from mast_zenoh.security import levels
-from mast_zenoh.security.credentials import VIEWER
+from mast_zenoh.mesh.security import levels
+from mast_zenoh.mesh.security.credentials import VIEWER
+from mast_zenoh.mesh.session import OBSERVERS, open_client, open_router, own_sockets
 
 #: s between two looks at the links; s for which a link is watched before it is ended.
 _LOOK_S, _PATIENCE_S = 0.5, 2.5

@@ -13,11 +13,6 @@ from rich.markup import escape
 
 from mast_zenoh import run_folder
 from mast_zenoh.config.resolved import RECORDING, Resolved, joining_files
-from mast_zenoh.control import control_prefix, files, flow, prefix
-from mast_zenoh.control.failures import described
-from mast_zenoh.control.files import DESCRIBE, WITHOUT_SCENE, encode_description
-from mast_zenoh.control.key_marks import check_control_mark, control_mark
-from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import BackendError, MastError, MessageError, RunError, ServiceDied, StallError
 from mast_zenoh.launch import conclusion, ending, local_mesh
 from mast_zenoh.launch.context import Mesh, RunContext
@@ -31,8 +26,13 @@ from mast_zenoh.launch.netns.hosts import Hosts
 from mast_zenoh.launch.observation import Observation
 from mast_zenoh.launch.reports import Reports
 from mast_zenoh.launch.table_files import TableFiles
-from mast_zenoh.runtime.mesh.session import direct
-from mast_zenoh.runtime.protocol.traffic import stamp_of
+from mast_zenoh.mesh.control import control_prefix, files, flow, prefix
+from mast_zenoh.mesh.control.failures import described
+from mast_zenoh.mesh.control.files import DESCRIBE, WITHOUT_SCENE, encode_description
+from mast_zenoh.mesh.control.key_marks import check_control_mark, control_mark
+from mast_zenoh.mesh.control.results import EVALUATOR
+from mast_zenoh.mesh.protocol.traffic import stamp_of
+from mast_zenoh.mesh.session import direct
 from mast_zenoh.wiring.model import Wiring
 
 MAX_ACTS = 1000  #: requests of the driver for process steps in the queue

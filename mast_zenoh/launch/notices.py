@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.control.results import counts_of
+from mast_zenoh.mesh.control.results import counts_of
 from mast_zenoh.metrics.estimates import subject_of
 from mast_zenoh.metrics.study_results import plural
 from mast_zenoh.outside import MOST_PUBLISHERS

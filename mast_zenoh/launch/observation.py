@@ -18,19 +18,19 @@ import zenoh
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import prefix
-from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.supervisor import Child
+from mast_zenoh.mesh.control import prefix
+from mast_zenoh.mesh.control.results import EVALUATOR
+from mast_zenoh.mesh.host import Outgoing
+from mast_zenoh.mesh.protocol.traffic import MISDIRECTED, stamp_of
+from mast_zenoh.mesh.session import direct
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.metrics import Record, Scorer, Series
 from mast_zenoh.metrics.estimates import PICTURE_RECEIVED
 from mast_zenoh.metrics.record import Snapshot
-from mast_zenoh.runtime.host import Outgoing
-from mast_zenoh.runtime.mesh.session import direct
-from mast_zenoh.runtime.protocol.traffic import MISDIRECTED, stamp_of
 from mast_zenoh.wiring.model import TAP, Wiring
 
 

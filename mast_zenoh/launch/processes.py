@@ -23,7 +23,7 @@ from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import StartError
 from mast_zenoh.launch.process_stat import processor_time_s
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.runtime.strays import RUN, end_strays
+from mast_zenoh.mesh.strays import RUN, end_strays
 
 #: s, for the server to import everything and to answer, and for it to leave.
 _START_S, _END_S = 30.0, 5.0
@@ -150,7 +150,7 @@ class Forked:
 #: One thread per node: many small arrays gain nothing from more, and the nodes share the machine.
 ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
-_NODE = [sys.executable, "-P", "-m", "mast_zenoh.runtime"]  # -P: nothing from the working directory
+_NODE = [sys.executable, "-P", "-m", "mast_zenoh.mesh"]  # -P: nothing from the working directory
 
 
 class Process(Child):

@@ -14,17 +14,17 @@ from typing import Any
 import zenoh
 
 from mast_zenoh.config.resolved import DRIVER_ROLE
-from mast_zenoh.control import files
-from mast_zenoh.control.codec import InvalidMessages
-from mast_zenoh.control.failures import MAX_HANDLERS, Entry, decode_failure, merged
-from mast_zenoh.control.key_marks import check_control_mark
-from mast_zenoh.control.results import decode_part, decode_result, is_part
-from mast_zenoh.control.tables import TablePart
 from mast_zenoh.errors import MessageError
 from mast_zenoh.launch.launcher_protocol import Report
 from mast_zenoh.launch.supervisor import Child
 from mast_zenoh.launch.table_files import TableFiles
-from mast_zenoh.runtime.mesh.session import direct
+from mast_zenoh.mesh.control import files
+from mast_zenoh.mesh.control.codec import InvalidMessages
+from mast_zenoh.mesh.control.failures import MAX_HANDLERS, Entry, decode_failure, merged
+from mast_zenoh.mesh.control.key_marks import check_control_mark
+from mast_zenoh.mesh.control.results import decode_part, decode_result, is_part
+from mast_zenoh.mesh.control.tables import TablePart
+from mast_zenoh.mesh.session import direct
 
 #: Reports of one node in the queue. An honest node sends results, and parts of tables, one at a time; a part that is
 #: not answered in time again.

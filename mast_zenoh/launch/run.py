@@ -17,22 +17,22 @@ from typing import Any, TextIO
 from rich.console import Console
 from rich.markup import escape
 
-from mast_zenoh import checks, kernels, run_folder
+from mast_zenoh import kernels, run_folder
 from mast_zenoh.config import plugins, registry
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import failures
 from mast_zenoh.errors import BackendError, MastError, ResourcesExhausted
-from mast_zenoh.launch import conclusion, ending, liveness, mesh_run, stop_signals
+from mast_zenoh.launch import checks, conclusion, ending, liveness, mesh_run, stop_signals
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.observation import InProcessObservation
 from mast_zenoh.launch.table_files import TableFiles
+from mast_zenoh.mesh.control import failures
+from mast_zenoh.mesh.inproc import InProcess
+from mast_zenoh.mesh.protocol_log import PROTOCOL_LOGS
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.packed import check_kernels
 from mast_zenoh.run_folder.recording import churn, script
-from mast_zenoh.runtime.inproc import InProcess
-from mast_zenoh.runtime.protocol_log import PROTOCOL_LOGS
 from mast_zenoh.scenes import Scene, inspection
 from mast_zenoh.wiring.model import Wiring
 
@@ -161,7 +161,7 @@ def run(
     allow_failures: whether a run in which a handler failed is still "ok"; otherwise its error is HandlerFailed
     allow_churn: whether a lock-step run in which a node was lost is still "ok"; otherwise its error is NodeLost
     prepare:  called with the context of a run on a mesh before it starts: to set detours, and to observe the run
-    debug_protocol: whether each process on a mesh logs its protocol, see `runtime.protocol_log`
+    debug_protocol: whether each process on a mesh logs its protocol, see `mesh.protocol_log`
     quiet:    print no progress, only what deserves attention
     command:  what started the run, for run.json; None: this process's command line
     replay:   of a replay: what it replays, for run.json and metrics.json, with `notices`, a sentence for each thing

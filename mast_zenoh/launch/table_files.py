@@ -6,9 +6,9 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh.control.results import EVALUATOR, TABLES
-from mast_zenoh.control.tables import MAX_TABLES, TablePart
 from mast_zenoh.errors import MessageError, RunFolderError
+from mast_zenoh.mesh.control.results import EVALUATOR, TABLES
+from mast_zenoh.mesh.control.tables import MAX_TABLES, TablePart
 from mast_zenoh.run_folder import replacing, subfolder
 
 #: Limit on the columns in memory that one node may hand in while a run goes on, bytes.

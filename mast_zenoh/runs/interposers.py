@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.control import failures
-from mast_zenoh.control.failures import how_often
+from mast_zenoh.mesh.control import failures
+from mast_zenoh.mesh.control.failures import how_often
 from mast_zenoh.runs.run import Run, agent_in_key
 
 #: Effects with their own column; all others share one.

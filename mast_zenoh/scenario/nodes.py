@@ -15,8 +15,8 @@ from mast_zenoh.config import bundle, loading, plugins
 from mast_zenoh.config.outside_meshes import outside_meshes
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
+from mast_zenoh.fusion.pipelines.agent import DUE, IDLE
 from mast_zenoh.metrics.achievement import ALL
-from mast_zenoh.pipelines.agent import DUE, IDLE
 from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.scenario import driving
 from mast_zenoh.scenes.agents import best_pattern

@@ -17,8 +17,8 @@ from mast_zenoh import scenes
 from mast_zenoh.config import bundle, loading, plugins, registry
 from mast_zenoh.config.outside_meshes import outside_meshes
 from mast_zenoh.config.resolved import DRIVER_ROLE, NodeSpec, Resolved, build_node, driver_of
-from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, NodeFileError, WiringError, nearest
+from mast_zenoh.mesh.control.results import EVALUATOR
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.limits import LEEWAY_S, fused_rows, limits_for
 from mast_zenoh.messages.packed import check_kernels

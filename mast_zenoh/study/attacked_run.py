@@ -27,18 +27,18 @@ from rich.console import Console
 
 from mast_zenoh import run_folder, scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import failures, prefix
-from mast_zenoh.control.failures import described
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, MastError, RunError, nearest
 from mast_zenoh.launch import run
 from mast_zenoh.launch.context import Mesh, RunContext
+from mast_zenoh.mesh.control import failures, prefix
+from mast_zenoh.mesh.control.failures import described
+from mast_zenoh.mesh.security.authority import Authority
+from mast_zenoh.mesh.security.credentials import Credentials
+from mast_zenoh.mesh.security.levels import endpoint
+from mast_zenoh.mesh.session import open_client
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
-from mast_zenoh.report.tables.text_table import ResultTables, TextTable
-from mast_zenoh.runtime.mesh.session import open_client
-from mast_zenoh.security.authority import Authority
-from mast_zenoh.security.credentials import Credentials
-from mast_zenoh.security.levels import endpoint
+from mast_zenoh.show.tables.text_table import ResultTables, TextTable
 from mast_zenoh.study.definition import Attempt, Study
 from mast_zenoh.study.store import new_folder, status_written
 from mast_zenoh.wiring.model import Wiring

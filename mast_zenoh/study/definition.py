@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 from mast_zenoh.config import loading
 from mast_zenoh.config.settings import from_values, split
 from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.mesh.security.levels import LEVELS
 from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.scenario.reading import checked_name, name_of_file
-from mast_zenoh.security.levels import LEVELS
 from mast_zenoh.study.defences.kinds import Factors, Kind, name_of_kind
 
 if TYPE_CHECKING:

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import failures, results
-from mast_zenoh.control.results import EVALUATOR
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, RunError, StartError
+from mast_zenoh.mesh.control import failures, results
+from mast_zenoh.mesh.control.results import EVALUATOR
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.metrics import Table
-from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.study.trial import Trial, TrialOutcome, environment
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, MastError, RunFolderError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch import twin
-from mast_zenoh.report.compare import Comparison, as_text
 from mast_zenoh.run_folder.tables import read_arrow
+from mast_zenoh.show.compare import Comparison, as_text
 from mast_zenoh.study import definition, execution
 from mast_zenoh.study import trials as repeated_runs
 from mast_zenoh.study.definition import DRIVEN, Configuration, Study
@@ -134,7 +134,7 @@ def carry_out(
     if isinstance(finished, StudyResult):
         _raise(finished, finished.out)
         return FinishedStudy(finished.out, finished.report, {}, as_text(finished.as_rich()))
-    from mast_zenoh.report.html import write_study_report  # drawing libraries are slow to load
+    from mast_zenoh.show.html import write_study_report  # drawing libraries are slow to load
 
     page = write_study_report(finished.out, finished.folders, driven=finished.drive())
     _raise(finished, finished.out)

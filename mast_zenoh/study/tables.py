@@ -43,7 +43,7 @@ class StudyResult:
 
     def as_rich(self) -> Any:
         """The main tables for the terminal."""
-        from mast_zenoh.report.tables import study as study_table
+        from mast_zenoh.show.tables import study as study_table
 
         if self.own is not None:
             return self.own.tables.as_rich()
@@ -74,9 +74,9 @@ def write(
     failures: by digest, the error of a trial that failed
     searched: what a search has written before
     """
-    from mast_zenoh.report.figures.study import figures_over_trials
-    from mast_zenoh.report.html import write_trials_page  # drawing libraries are slow to load
-    from mast_zenoh.report.tables import study as study_table
+    from mast_zenoh.show.figures.study import figures_over_trials
+    from mast_zenoh.show.html import write_trials_page  # drawing libraries are slow to load
+    from mast_zenoh.show.tables import study as study_table
 
     seeds = tuple(sorted({trial.seed for trial in trials}))
     scenes = tuple(scene.label for scene in study.scenes)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.control import results
+from mast_zenoh.mesh.control import results
 
 
 def expect(holds: object, text: str) -> None:

@@ -11,15 +11,15 @@ from typing import Any, NamedTuple
 from mast_zenoh import scenario as scenarios
 from mast_zenoh.api.execution import Scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control.failures import lines
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.launch import run as launcher
+from mast_zenoh.mesh.control.failures import lines
+from mast_zenoh.mesh.host import Outgoing
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import BUILT_IN, Schema
 from mast_zenoh.node import Node, check_handlers
 from mast_zenoh.run_folder.recording.difference import compare, explain
-from mast_zenoh.runtime.host import Outgoing
-from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.testing import simulation
 from mast_zenoh.testing.comparison import expect, first_difference
 from mast_zenoh.wiring.model import ANY

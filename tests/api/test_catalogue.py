@@ -21,8 +21,9 @@ from mast_zenoh.metrics.measures import MEASURES
 
 _BASES = """
     attacks: attacks.Attack attacks.Coordination attacks.Selection attacks.Propagation attacks.Imitation
-    trackers: pipelines.AgentPipeline tracking.Tracker tracking.Assignment
-    fusion: pipelines.MissionEstimator pipelines.Pipeline fusion.Clusterer fusion.Fusion fusion.GroupTracker
+    trackers: fusion.pipelines.AgentPipeline tracking.Tracker tracking.Assignment
+    fusion: fusion.pipelines.MissionEstimator fusion.pipelines.Pipeline fusion.Clusterer fusion.Fusion \
+        fusion.GroupTracker
     defences: integrity.Integrity
     scenes: scenes.Scene sensing.Detector
     links: links.Rule

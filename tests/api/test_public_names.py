@@ -18,10 +18,10 @@ NAMES = {
 _BASES = """
     node.Node node.Source messages.Schema messages.Column attacks.Attack attacks.Coordination attacks.Selection
     attacks.Propagation attacks.Imitation attacks.AdaptiveAttack attacks.FollowingEgo attacks.FalseTraffic
-    driving.Driver tracking.Tracker tracking.Assignment pipelines.Pipeline fusion.Clusterer
+    driving.Driver tracking.Tracker tracking.Assignment fusion.pipelines.Pipeline fusion.Clusterer
     fusion.Fusion fusion.GroupTracker integrity.Integrity scenes.Scene scenes.Sensor sensing.Detector
     metrics.FrameMetric metrics.RunMetric metrics.Assigner links.Rule faults.Fault launch.engine.Engine
-    checks.RunCheck report.RunFigure v2x.GenerationRules v2x.RedundancyRule v2x.CongestionControl v2x.CamGeneration
+    launch.checks.RunCheck show.RunFigure v2x.GenerationRules v2x.RedundancyRule v2x.CongestionControl v2x.CamGeneration
     v2x.RadioChannel
 """
 BASES = {f"mast_zenoh.{place}" for place in _BASES.split()}

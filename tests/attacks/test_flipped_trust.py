@@ -7,7 +7,7 @@ import pytest
 
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.scenario import victims_of
 
 FRAMES = 90

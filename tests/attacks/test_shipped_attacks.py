@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh import scenario
-from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.mesh.inproc import InProcess
 
 FRAMES = 90
 

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from tiny_world import TinyScene
 
-from mast_zenoh import checks
-from mast_zenoh.checks import Check
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.launch import run
+from mast_zenoh.launch import checks, run
+from mast_zenoh.launch.checks import Check
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.run_folder.recording.reader import Recorded, read

@@ -27,9 +27,9 @@ from planted import (
 )
 
 import mast_zenoh as mast
-from mast_zenoh import checks
-from mast_zenoh.checks import RunCheck, apply, convergence
 from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.launch import checks
+from mast_zenoh.launch.checks import RunCheck, apply, convergence
 from mast_zenoh.messages import codec
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.run_folder.recording.reader import Recorded, read
@@ -283,7 +283,7 @@ def test_the_distance_counts_missing_and_displaced_objects() -> None:
 
 
 SCENARIO = """
-from mast_zenoh.checks import RunCheck
+from mast_zenoh.launch.checks import RunCheck
 from mast_zenoh.scenario import load
 
 

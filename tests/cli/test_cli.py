@@ -16,7 +16,7 @@ from mast_zenoh.cli.options import PlainConsole
 from mast_zenoh.errors import DiskFull, HandlerFailed, MastError, RunFolderError
 from mast_zenoh.launch.run import EndedRun
 from mast_zenoh.scenario.reading import load
-from mast_zenoh.viewer.page.page import viewer_page
+from mast_zenoh.show.page.page import viewer_page
 
 SHORT = ("--frames", "4", "--runtime", "inproc")
 CLUSTERING = "command_center.pipeline.clustering"

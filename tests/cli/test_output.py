@@ -9,7 +9,7 @@ from rich.console import Console
 from mast_zenoh.api import catalogue
 from mast_zenoh.cli import scenarios
 from mast_zenoh.cli.options import PlainConsole
-from mast_zenoh.report.tables.text_table import TextTable
+from mast_zenoh.show.tables.text_table import TextTable
 
 SHORT = ("--runtime", "inproc", "--frames", "8")
 

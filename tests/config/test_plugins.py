@@ -14,7 +14,7 @@ import mast_datasets
 import pytest
 
 from mast_zenoh.config import plugins, registry, scene_names
-from mast_zenoh.control import failures
+from mast_zenoh.mesh.control import failures
 from mast_zenoh.scenes import Scene
 from mast_zenoh.study import trial
 

@@ -84,13 +84,13 @@ def test_an_invalid_spec_is_refused_with_its_path(spec: object, reason: str) -> 
         build(spec)
 
 
-ALGORITHMS = ("attacks", "faults", "fusion", "links", "metrics", "pipelines", "scenes", "sensing", "tracking")
+ALGORITHMS = ("attacks", "faults", "fusion", "links", "metrics", "fusion.pipelines", "scenes", "sensing", "tracking")
 
 
 @pytest.mark.parametrize("package", ALGORITHMS)
 def test_importing_a_base_makes_all_shipped_subclasses_available(package: str) -> None:
     """In a new process, where modules not imported by the package are missing."""
-    folder = Path(mast_zenoh.__file__).parent / package
+    folder = Path(mast_zenoh.__file__).parent / package.replace(".", "/")
     defined = {}
     for info in pkgutil.iter_modules([str(folder)]):
         module = importlib.import_module(f"mast_zenoh.{package}.{info.name}")

@@ -18,9 +18,9 @@ from insider.position import FAILURE, Position, position
 from sound_controls import CODECS, DRIVEN, MEMBERS, OUTCOME, TAP, WIRING, packed
 
 from mast_zenoh import scenario, version
-from mast_zenoh.control import CONTROLS, failures, files, flow, results
-from mast_zenoh.control.tables import PartedTables, TablePart
 from mast_zenoh.errors import MessageError, RunError
+from mast_zenoh.mesh.control import CONTROLS, failures, files, flow, results
+from mast_zenoh.mesh.control.tables import PartedTables, TablePart
 from mast_zenoh.wiring.model import Wiring
 
 every_codec = pytest.mark.parametrize("name", CODECS)
@@ -308,7 +308,7 @@ from __future__ import annotations
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
-from mast_zenoh.control.codec import ControlMessage, converted
+from mast_zenoh.mesh.control.codec import ControlMessage, converted
 
 def new_types():
     class Part(ControlMessage, frozen=True):

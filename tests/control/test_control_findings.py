@@ -13,8 +13,6 @@ from hosted import Hosted
 
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.control import CONTROLS, flow
-from mast_zenoh.control.codec import MAX_KEYS, OTHERS, InvalidMessages, encode
 from mast_zenoh.errors import ImplausibleCounts, ServiceDied
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.file_server import FileServer
@@ -22,9 +20,11 @@ from mast_zenoh.launch.launcher_protocol import Report
 from mast_zenoh.launch.live_interception import InterceptionServer, seal
 from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.reports import Reports
+from mast_zenoh.mesh.control import CONTROLS, flow
+from mast_zenoh.mesh.control.codec import MAX_KEYS, OTHERS, InvalidMessages, encode
+from mast_zenoh.mesh.security.access import rights
+from mast_zenoh.mesh.security.credentials import LAUNCHER
 from mast_zenoh.node import Node, Source
-from mast_zenoh.security.access import rights
-from mast_zenoh.security.credentials import LAUNCHER
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 RUBBISH = [b"", b"\xc1", b"\xff\xfe", msgpack.packb(7), msgpack.packb([]), msgpack.packb([1, 2]), msgpack.packb({})]

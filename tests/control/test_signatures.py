@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mast_zenoh.control import CONTROLS
-from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.errors import CredentialsError, MessageError
-from mast_zenoh.runtime.mesh import hosting
-from mast_zenoh.security.control_keys import DRIVER, LAUNCHER, ControlKeys, make
-from mast_zenoh.security.credentials import CONTROL, Credentials
-from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.security.levels import LEVELS
+from mast_zenoh.mesh import hosting
+from mast_zenoh.mesh.control import CONTROLS
+from mast_zenoh.mesh.control.signatures import Signatures
+from mast_zenoh.mesh.security.control_keys import DRIVER, LAUNCHER, ControlKeys, make
+from mast_zenoh.mesh.security.credentials import CONTROL, Credentials
+from mast_zenoh.mesh.security.deployment import Deployment
+from mast_zenoh.mesh.security.levels import LEVELS
 from mast_zenoh.wiring.model import Wiring
 
 KEYS = make()

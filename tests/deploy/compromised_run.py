@@ -25,15 +25,15 @@ from rich.console import Console
 from mast_zenoh import scenario
 from mast_zenoh.cli.options import reporting
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import prefix
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.context import RunContext
-from mast_zenoh.report import html
-from mast_zenoh.runtime.mesh.session import open_session
-from mast_zenoh.runtime.protocol.driver import DriverProtocol, DriverState, Phase
-from mast_zenoh.security.credentials import Credentials
-from mast_zenoh.security.levels import client_settings
+from mast_zenoh.mesh.control import prefix
+from mast_zenoh.mesh.protocol.driver import DriverProtocol, DriverState, Phase
+from mast_zenoh.mesh.security.credentials import Credentials
+from mast_zenoh.mesh.security.levels import client_settings
+from mast_zenoh.mesh.session import open_session
+from mast_zenoh.show import html
 
 #: The actions of an insider in its session; the second argument is the prefix of all keys of the run.
 Insider = Callable[[zenoh.Session, str], object]

@@ -17,8 +17,8 @@ from launched import MAST, Launched, eventually
 
 from mast_zenoh.deploy.compose import command
 from mast_zenoh.deploy.docker import docker
+from mast_zenoh.mesh.hosting import UP
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.runtime.mesh.hosting import UP
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(600)]
 SMALL = ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.1")

@@ -15,7 +15,7 @@ from mast_zenoh.deploy import remote_node
 from mast_zenoh.deploy.compose import hand_over
 from mast_zenoh.deploy.docker import USER
 from mast_zenoh.deploy.ssh import onhost
-from mast_zenoh.security.deployment import Deployment
+from mast_zenoh.mesh.security.deployment import Deployment
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 WIRING = Wiring((Wire("w", "", "clock", (Leg("w", Endpoint("a", "out"), (Endpoint("b", "in"),)),)),))

@@ -33,7 +33,7 @@ from mast_zenoh.config import loading
 from mast_zenoh.deploy import remote_node
 for file in sorted(pathlib.Path({nodes!r}).glob("*.py")):
     loading.module(file)
-import filterpy.kalman, mcap.writer, mast_zenoh.security.diagnosis, mast_zenoh.tracking.box_tracker
+import filterpy.kalman, mcap.writer, mast_zenoh.mesh.security.diagnosis, mast_zenoh.tracking.box_tracker
 """
 
 
@@ -65,7 +65,7 @@ def test_the_wheel_always_has_the_same_sources_and_entry_points(tmp_path: Path) 
         recorded = {line.split(",")[0] for line in archive.read(f"{info}/RECORD").decode().splitlines()}
     assert recorded == set(names)
     assert {"mast_zenoh/bundled/deploy/Dockerfile", "mast_zenoh/bundled/nodes/agent.py"} <= recorded
-    assert "mast_zenoh/viewer/page/js/main.js" in recorded, "a launcher writes reports"
+    assert "mast_zenoh/show/page/js/main.js" in recorded, "a launcher writes reports"
 
 
 @pytest.mark.mesh

@@ -17,10 +17,10 @@ from insider.position import MARKER, Position, position
 
 from mast_zenoh import version
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import flow, results
 from mast_zenoh.launch import run as launcher
+from mast_zenoh.mesh.control import flow, results
+from mast_zenoh.mesh.protocol.traffic import stamp
 from mast_zenoh.run_folder.recording.difference import compare
-from mast_zenoh.runtime.protocol.traffic import stamp
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 

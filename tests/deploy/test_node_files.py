@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import files
-from mast_zenoh.control.codec import ControlMessage
 from mast_zenoh.errors import RunError
 from mast_zenoh.launch.file_server import files_for_node, with_local_imports
+from mast_zenoh.mesh.control import files
+from mast_zenoh.mesh.control.codec import ControlMessage
+from mast_zenoh.mesh.file_client import FileClient, files_written_by
 from mast_zenoh.run_folder.recording.writer import MessageLog
-from mast_zenoh.runtime.file_client import FileClient, files_written_by
 
 
 @pytest.fixture(scope="module")

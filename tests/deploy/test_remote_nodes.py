@@ -116,8 +116,8 @@ def test_remote_nodes_have_the_same_failures_and_results_as_in_one_process(tmp_p
 
 #: The process of a node ends at once when it has handed in its results; files that grow are not sent before.
 ENDS_WITH_ITS_RESULTS = (
-    "import os; from mast_zenoh.runtime import file_client; "
-    "from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess; "
+    "import os; from mast_zenoh.mesh import file_client; "
+    "from mast_zenoh.mesh.zenoh_process import ZenohProcess; "
     "file_client._HAND_IN_EVERY_S = 3600.0; run = ZenohProcess.run; "
     "ZenohProcess.run = lambda self: (run(self), os._exit(0))"
 )

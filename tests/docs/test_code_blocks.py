@@ -34,8 +34,8 @@ from mast_zenoh.cli.app import app
 from mast_zenoh.config import registry
 from mast_zenoh.faults import Fault
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.runtime.mesh.session import open_client
-from mast_zenoh.security.authority import Authority
+from mast_zenoh.mesh.security.authority import Authority
+from mast_zenoh.mesh.session import open_client
 from mast_zenoh.study import definition
 from mast_zenoh.study.search import searching
 from mast_zenoh.tracking import SensorView

@@ -17,7 +17,7 @@ import yaml
 from mast_zenoh import scenario
 from mast_zenoh.attacks.adaptive import AdaptiveAttack, Lies, Moment
 from mast_zenoh.config.registry import known_types
-from mast_zenoh.effects import EFFECTS
+from mast_zenoh.evaluation.effects import EFFECTS
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.metrics.causes import CAUSES

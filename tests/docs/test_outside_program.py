@@ -15,9 +15,9 @@ import zenoh
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run as launcher
+from mast_zenoh.mesh.session import open_client
 from mast_zenoh.messages import codec
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.runtime.mesh.session import open_client
 
 PAGE = (Path(__file__).parents[2] / "docs" / "plugins.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"^```python file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))

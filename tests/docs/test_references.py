@@ -20,7 +20,19 @@ PLACEHOLDERS = {"/home/me/shover.py"}
 #: Documents of the working group that are not shipped.
 NOT_SHIPPED = re.compile(r"\b(DESIGN|ANCHORS|INTEGRITY|STYLE|DATASETS|REVIEWS|ZENOH)\b|layout-moves")
 #: Prefixes in backticks that are not modules: suffixes of data files, labels, other packages.
-FOREIGN = {"detections", "visibility", "buildings", "scene", "study", "mast", "self", "role", "filterpy", "subprocess"}
+FOREIGN = {
+    "detections",
+    "report",
+    "visibility",
+    "buildings",
+    "scene",
+    "study",
+    "mast",
+    "self",
+    "role",
+    "filterpy",
+    "subprocess",
+}
 
 
 def docstrings(path: Path) -> Iterator[str]:

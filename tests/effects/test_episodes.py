@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from mast_zenoh.effects import EFFECTS, Effects
-from mast_zenoh.effects.table import MAX_GAP_S, insertions
+from mast_zenoh.evaluation.effects import EFFECTS, Effects
+from mast_zenoh.evaluation.effects.table import MAX_GAP_S, insertions
 
 PERIOD_S = 0.1
 

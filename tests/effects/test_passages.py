@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.effects.passages import KNOWN_FRAMES, LATEST, REMEMBERED, FrameSpan, PassageMeter
 from mast_zenoh.errors import MessageError
+from mast_zenoh.evaluation.effects.passages import KNOWN_FRAMES, LATEST, REMEMBERED, FrameSpan, PassageMeter
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message, text
 from mast_zenoh.wiring.model import Input, InterposedWire

@@ -1,6 +1,6 @@
 """The effects of interposers, by plain loops over their inputs and outputs.
 
-Shares no code with mast_zenoh.effects.
+Shares no code with mast_zenoh.evaluation.effects.
 """
 
 import math

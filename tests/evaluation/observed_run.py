@@ -7,11 +7,11 @@ import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.errors import MessageError
+from mast_zenoh.mesh.host import Host, Outgoing
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body, Header, Message
 from mast_zenoh.node import Received
-from mast_zenoh.runtime.host import Host, Outgoing
-from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.wiring.model import InterposedWire
 
 PERIOD_NS = 100_000_000

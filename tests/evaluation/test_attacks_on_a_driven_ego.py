@@ -8,7 +8,7 @@ import pytest
 
 from mast_zenoh import scenario
 from mast_zenoh.config import loading
-from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.mesh.inproc import InProcess
 
 pytestmark = pytest.mark.heavy
 

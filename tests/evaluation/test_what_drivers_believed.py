@@ -8,8 +8,8 @@ import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.driving.motion import CarLimits, Command, RouteAhead
-from mast_zenoh.effects.passages import FrameSpan, PassageMeter
 from mast_zenoh.evaluation import Evaluation, RunData, RunScoring
+from mast_zenoh.evaluation.effects.passages import FrameSpan, PassageMeter
 from mast_zenoh.evaluation.run_data import ArrivedEstimate, Heard, OwnView
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.messages import codec

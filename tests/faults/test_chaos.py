@@ -9,10 +9,10 @@ import psutil
 import pytest
 from typer.testing import CliRunner
 
-from mast_zenoh import checks, scenario
-from mast_zenoh.checks import convergence
+from mast_zenoh import scenario
 from mast_zenoh.cli import app
-from mast_zenoh.launch import run
+from mast_zenoh.launch import checks, run
+from mast_zenoh.launch.checks import convergence
 from mast_zenoh.run_folder.recording.difference import compare, explain
 
 #: Numbers from 0 to 19; all after the first four are heavy.

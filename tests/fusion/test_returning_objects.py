@@ -6,7 +6,7 @@ from tracked_objects import MATURE, STEP_S, cars, centre, nanoseconds
 
 from mast_zenoh.arrays.states import CLASS_INDEX, ObjectStates, concatenate
 from mast_zenoh.fusion.group_tracking import RETURN_GATE, ReturningObjects
-from mast_zenoh.pipelines import CommandCenterPipeline
+from mast_zenoh.fusion.pipelines import CommandCenterPipeline
 from mast_zenoh.tracking import classes
 from mast_zenoh.tracking.kalman import process_noise
 from mast_zenoh.tracking.tracks import known_class

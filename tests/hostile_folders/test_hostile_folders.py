@@ -28,8 +28,8 @@ import mast_zenoh as mast
 from mast_zenoh import errors
 from mast_zenoh.cli import observers
 from mast_zenoh.errors import MastError, UntrustedCode
-from mast_zenoh.report.figures import drawing
-from mast_zenoh.viewer.page.live_server import PageServer
+from mast_zenoh.show.figures import drawing
+from mast_zenoh.show.page.live_server import PageServer
 
 pytestmark = pytest.mark.heavy
 

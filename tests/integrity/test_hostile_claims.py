@@ -8,6 +8,7 @@ from integrity_batches import CAR, STEP_NS, Track, batch, view
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import registry
+from mast_zenoh.fusion.pipelines import Pipeline
 from mast_zenoh.integrity import FaultOrLie, FreeSpace, SequentialConsistency, TruthDiscovery
 from mast_zenoh.integrity.base import SUSPENDED, Batch, Integrity
 from mast_zenoh.integrity.disputes import Evidence
@@ -17,7 +18,6 @@ from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.relative_faults import MAX_NEAR, MAX_TRACKS, Differences
 from mast_zenoh.integrity.views import MAX_CELLS, check_view, collated_columns, view_columns
 from mast_zenoh.messages.layout import MAX_ROWS
-from mast_zenoh.pipelines import Pipeline
 
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0), "d": (0.0, -20.0)}
 CARS = ((9.0, 9.0), (-9.0, 9.0))

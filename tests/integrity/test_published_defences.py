@@ -10,7 +10,7 @@ from tiny_world import tiny
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.integrity import Cad, FaultOrLie, Integrity, Made, NoIntegrity, Pasac, PoseGuard, Prbi, Robosac
 from mast_zenoh.integrity.base import SUSPENDED, Batch, problem_of
-from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.mesh.inproc import InProcess
 
 WITH_EGO: list[type[Integrity]] = [Robosac, Pasac, Made, PoseGuard]
 STAGES = [*WITH_EGO, Prbi, Cad]

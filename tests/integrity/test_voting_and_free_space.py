@@ -7,11 +7,11 @@ import pytest
 from integrity_batches import CAR, Track, batch, view
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.fusion.pipelines import FreeSpaceVeto, MissionEstimator, PictureFirst
 from mast_zenoh.integrity import Batch, FreeSpace, Integrity, KOfN, SweptView
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.reputation import BetaReputation
 from mast_zenoh.integrity.visibility import seen_through
-from mast_zenoh.pipelines import FreeSpaceVeto, MissionEstimator, PictureFirst
 
 AGENTS = ("a", "b", "c", "d")
 PLACES = {"a": (-20.0, 0.0), "b": (20.0, 0.0), "c": (0.0, 20.0), "d": (0.0, -20.0)}

@@ -29,20 +29,20 @@ from mast_zenoh.arrays import matching
 from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import following
+from mast_zenoh.fusion.pipelines import mission
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import Tolerances
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.layout import LAYOUTS, limit_of
 from mast_zenoh.messages.schemas import SCHEMAS, Header
-from mast_zenoh.pipelines import mission
 from mast_zenoh.sensing import LidarSensor, Walls, lidar_points
 from mast_zenoh.sensing.raycast import PlacedSensor
 from mast_zenoh.tracking import SensorView, association, classes, tracks
 from mast_zenoh.tracking.existence import STAGES_S
 from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields, uper
 
-for package in ("tracking", "fusion", "pipelines", "metrics", "sensing", "attacks", "integrity"):
-    for module in pkgutil.iter_modules([str(Path(mast_zenoh.__file__).parent / package)]):
+for package in ("tracking", "fusion", "fusion.pipelines", "metrics", "sensing", "attacks", "integrity"):
+    for module in pkgutil.iter_modules([str(Path(mast_zenoh.__file__).parent / package.replace(".", "/"))]):
         importlib.import_module(f"mast_zenoh.{package}.{module.name}")
 
 DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
@@ -544,7 +544,7 @@ PLAY = """
 import sys
 import numpy as np
 from mast_zenoh import kernels, scenario
-from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.mesh.inproc import InProcess
 path, loaded = scenario.load("coordinated", [f"scene={sys.argv[1]}"])
 heard = {}
 def tap(sent):

@@ -12,7 +12,7 @@ from mast_zenoh import scenario
 from mast_zenoh.launch import display, observation, run
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.observation import Activities, Activity, NewestScore, Status, watched_keys
-from mast_zenoh.runtime.protocol.traffic import stamp
+from mast_zenoh.mesh.protocol.traffic import stamp
 from mast_zenoh.wiring.model import Wiring
 
 DASH = "\u2013"

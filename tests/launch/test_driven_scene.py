@@ -13,11 +13,11 @@ from recorded_observer import RecordedObserver
 
 from mast_zenoh.launch import run, twin
 from mast_zenoh.messages import codec
-from mast_zenoh.report import comparison
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes import Recording
-from mast_zenoh.viewer.page.live_view import LiveBlocks
+from mast_zenoh.show import comparison
+from mast_zenoh.show.page.live_view import LiveBlocks
 
 ATTACK = ("attack=GhostAhead", "wire=detections", "attack_start_s=0.6")
 

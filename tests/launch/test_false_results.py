@@ -16,14 +16,14 @@ from rich.console import Console
 from mast_zenoh import run_folder, scenario, version
 from mast_zenoh.cli.options import reporting
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import results
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch import ending
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.report import html, terminal
+from mast_zenoh.mesh.control import results
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show import html, terminal
 
 pytestmark = pytest.mark.heavy
 

@@ -24,7 +24,7 @@ pytestmark = [
 ]
 
 #: Arguments of a node without a run folder, which fails at once with exit code 2.
-COMMAND = [sys.executable, "-P", "-m", "mast_zenoh.runtime"]
+COMMAND = [sys.executable, "-P", "-m", "mast_zenoh.mesh"]
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def test_nodes_import_nothing_after_they_are_forked(tmp_path: Path) -> None:
     scenario.resolve(*scenario.load("baseline", []), frames=20).write(tmp_path)
     code = (
         "import argparse, sys, pathlib; from mast_zenoh.launch import fork_server; fork_server.preload();"
-        "from mast_zenoh.config.resolved import Resolved; from mast_zenoh.runtime.inproc import InProcess;"
+        "from mast_zenoh.config.resolved import Resolved; from mast_zenoh.mesh.inproc import InProcess;"
         "before = set(sys.modules); argparse.ArgumentParser().parse_args([]);"
         "InProcess(Resolved.read(pathlib.Path())).run();"
         "print(*(set(sys.modules) - before))"

@@ -8,14 +8,14 @@ import failing
 import numpy as np
 import pytest
 
-from mast_zenoh import checks, scenario
+from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import failures
 from mast_zenoh.errors import HandlerFailed, NodeDied
-from mast_zenoh.launch import run
-from mast_zenoh.report.html import write_report, write_study_report
+from mast_zenoh.launch import checks, run
+from mast_zenoh.mesh.control import failures
 from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.show.html import write_report, write_study_report
 
 
 def resolved(name: str, folder: Path, frames: int = 12) -> Resolved:

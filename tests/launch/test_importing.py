@@ -18,7 +18,7 @@ def loaded_by(code: str) -> set[str]:
     return set(process.stdout.splitlines()[-1].removeprefix("loaded: ").split())
 
 
-IMPORT_NODE = f"import sys\nsys.path.insert(0, {str(NODES)!r})\nimport mast_zenoh.runtime.mesh.hosting, "
+IMPORT_NODE = f"import sys\nsys.path.insert(0, {str(NODES)!r})\nimport mast_zenoh.mesh.hosting, "
 
 
 @pytest.mark.parametrize(

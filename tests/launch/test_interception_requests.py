@@ -16,10 +16,10 @@ from mast_zenoh.config import bundle
 from mast_zenoh.config.allowed_code import SHIPPED
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.config.settings import nested
-from mast_zenoh.control.interception import place_json, place_of
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NodeFileError, NotRunning, WiringError
 from mast_zenoh.launch.launcher_protocol import Interceptions
 from mast_zenoh.launch.live_interception import intercept, plan, release, seal, unseal
+from mast_zenoh.mesh.control.interception import place_json, place_of
 from mast_zenoh.messages import Schema
 from mast_zenoh.scenario.nodes import add_surroundings
 

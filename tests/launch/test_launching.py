@@ -17,7 +17,7 @@ from mast_zenoh.launch.context import Mesh
 from mast_zenoh.launch.launcher_protocol import Endings, RunState, churn_of
 from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.supervisor import Child
-from mast_zenoh.runtime.protocol.traffic import stamp
+from mast_zenoh.mesh.protocol.traffic import stamp
 
 WAIT_S = 0.05
 

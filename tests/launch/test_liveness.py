@@ -12,8 +12,8 @@ import pytest
 from mast_zenoh import run_folder
 from mast_zenoh.errors import NotRunning
 from mast_zenoh.launch import live_interception, liveness
-from mast_zenoh.report.findings.results import status
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show.findings.results import status
 
 SAYS_WHO = (
     "from mast_zenoh.launch import liveness; import json; print(json.dumps(liveness.identity()), flush=True); input()"

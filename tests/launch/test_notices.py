@@ -15,10 +15,10 @@ from tiny_world import tiny
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import results
 from mast_zenoh.errors import StallError
 from mast_zenoh.launch import ending, notices, run
-from mast_zenoh.report.html import write_report
+from mast_zenoh.mesh.control import results
+from mast_zenoh.show.html import write_report
 from mast_zenoh.tracking import Innovations
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 

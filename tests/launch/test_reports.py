@@ -9,14 +9,14 @@ from insider.position import FAILURE
 from sound_controls import DRIVEN, OUTCOME
 
 from mast_zenoh.config.resolved import NodeSpec
-from mast_zenoh.control import results
-from mast_zenoh.control.codec import InvalidMessages
-from mast_zenoh.control.failures import MAX_HANDLERS
-from mast_zenoh.control.files import decode_refusal
-from mast_zenoh.control.results import MAX_RESULT
 from mast_zenoh.launch.launcher_protocol import Report
 from mast_zenoh.launch.reports import MAX_WAITING, Reports
 from mast_zenoh.launch.supervisor import Child
+from mast_zenoh.mesh.control import results
+from mast_zenoh.mesh.control.codec import InvalidMessages
+from mast_zenoh.mesh.control.failures import MAX_HANDLERS
+from mast_zenoh.mesh.control.files import decode_refusal
+from mast_zenoh.mesh.control.results import MAX_RESULT
 
 VALID = msgpack.packb(["a", FAILURE])
 

@@ -13,7 +13,7 @@ from launched_apart import Beside
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run
-from mast_zenoh.runtime.protocol.driver import DriverProtocol, DriverState, Phase
+from mast_zenoh.mesh.protocol.driver import DriverProtocol, DriverState, Phase
 
 _LOOK_EVERY_S = 0.02
 

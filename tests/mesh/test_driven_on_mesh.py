@@ -9,7 +9,8 @@ import pytest
 from equal_runs import assert_equal
 from sumo_network import vehicle, write_network
 
-from mast_zenoh import replay, scenario
+from mast_zenoh import scenario
+from mast_zenoh.launch import replay
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.run_folder.recording.difference import compare
 

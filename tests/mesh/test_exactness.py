@@ -14,8 +14,8 @@ import random_scenarios
 from equal_runs import assert_equal, run_alone
 from launched import Launched
 
+from mast_zenoh.mesh.protocol_log import PROTOCOL_LOGS, difference
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.runtime.protocol_log import PROTOCOL_LOGS, difference
 
 pytestmark = pytest.mark.mesh
 FRAMES = 8

@@ -8,9 +8,9 @@ import pytest
 from launched import Launched, Observer, eventually
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.mesh.protocol.traffic import stamp
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
-from mast_zenoh.runtime.protocol.traffic import stamp
 
 pytestmark = pytest.mark.mesh
 MESSAGES, LAST = 30, 149

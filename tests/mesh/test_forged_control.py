@@ -10,9 +10,9 @@ import pytest
 from equal_runs import assert_equal, run_alone
 from launched import Launched
 
-from mast_zenoh.control import flow
-from mast_zenoh.runtime.mesh.session import open_client
-from mast_zenoh.security.credentials import Credentials
+from mast_zenoh.mesh.control import flow
+from mast_zenoh.mesh.security.credentials import Credentials
+from mast_zenoh.mesh.session import open_client
 from mast_zenoh.wiring.model import Wiring
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]

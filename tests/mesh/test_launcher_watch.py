@@ -9,9 +9,9 @@ import pytest
 import zenoh
 from launched import eventually
 
-from mast_zenoh.control import control_prefix
-from mast_zenoh.runtime.mesh.hosting import UP, LauncherWatch
-from mast_zenoh.runtime.mesh.session import open_router
+from mast_zenoh.mesh.control import control_prefix
+from mast_zenoh.mesh.hosting import UP, LauncherWatch
+from mast_zenoh.mesh.session import open_router
 
 pytestmark = pytest.mark.mesh
 

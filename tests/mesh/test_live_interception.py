@@ -11,8 +11,8 @@ from launched import Launched, Observer, eventually
 
 from mast_zenoh.errors import NotRunning, StartError
 from mast_zenoh.launch import live_interception
+from mast_zenoh.mesh.protocol.traffic import ATTACHMENT
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 LIVE = Path(__file__).parents[1] / "support" / "live"

@@ -22,9 +22,9 @@ from launched import Launched, Observer, eventually
 from sound_controls import CODECS, packed
 from test_flood import LIMIT_MB, peak_mb
 
-from mast_zenoh.control import CONTROLS
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.live_interception import SECRET_FILE
+from mast_zenoh.mesh.control import CONTROLS
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 

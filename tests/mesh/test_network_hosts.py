@@ -20,7 +20,7 @@ from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.netns import shaping
 from mast_zenoh.launch.netns.hosts import CENTRE, Hosts
 from mast_zenoh.launch.netns.namespaces import NAMESPACES, own_prefix, sweep
-from mast_zenoh.runtime.mesh.session import open_client, open_router
+from mast_zenoh.mesh.session import open_client, open_router
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 

@@ -7,7 +7,7 @@ import pytest
 from launched import MAST
 from tiny_world import tiny
 
-from mast_zenoh import replay
+from mast_zenoh.launch import replay
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.run_folder.recording.difference import compare
 

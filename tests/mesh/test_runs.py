@@ -102,7 +102,7 @@ def test_a_real_time_run_keeps_pace_and_measures_its_latency(launch) -> None:
 
 
 def test_an_existing_router_can_be_used(launch, tmp_path: Path) -> None:
-    from mast_zenoh.runtime.mesh.session import open_router
+    from mast_zenoh.mesh.session import open_router
 
     router, endpoint = open_router()
     with router:

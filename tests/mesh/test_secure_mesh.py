@@ -10,13 +10,13 @@ import zenoh
 from launched import eventually
 
 from mast_zenoh.errors import CredentialsError
-from mast_zenoh.runtime.mesh import session as sessions
-from mast_zenoh.runtime.mesh.session import open_client, open_router
-from mast_zenoh.security import diagnosis, explain
-from mast_zenoh.security.authority import Authority
-from mast_zenoh.security.credentials import ROUTER, Credentials
-from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.security.levels import router_settings
+from mast_zenoh.mesh import session as sessions
+from mast_zenoh.mesh.security import diagnosis, explain
+from mast_zenoh.mesh.security.authority import Authority
+from mast_zenoh.mesh.security.credentials import ROUTER, Credentials
+from mast_zenoh.mesh.security.deployment import Deployment
+from mast_zenoh.mesh.security.levels import router_settings
+from mast_zenoh.mesh.session import open_client, open_router
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]

@@ -16,7 +16,7 @@ from launched import MAST, Launched, eventually
 
 from mast_zenoh import scenario
 from mast_zenoh.launch.live_interception import SECRET_FILE
-from mast_zenoh.security.authority import Authority
+from mast_zenoh.mesh.security.authority import Authority
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 FRAMES = "6"

@@ -15,8 +15,8 @@ from equal_runs import assert_equal, run_alone
 from launched import MAST, Launched, eventually
 
 from mast_zenoh.errors import NotRunning
-from mast_zenoh.runtime.mesh import session
-from mast_zenoh.runtime.mesh.session import open_client, open_router
+from mast_zenoh.mesh import session
+from mast_zenoh.mesh.session import open_client, open_router
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
@@ -24,7 +24,7 @@ _LISTENS = "received = session.declare_subscriber('**', zenoh.handlers.RingChann
 #: A viewer's own session, and one of a client with Zenoh's own settings, at the router of the first argument.
 _VIEWER = f"""
 import sys, zenoh
-from mast_zenoh.runtime.mesh import hosting
+from mast_zenoh.mesh import hosting
 session = hosting.join(sys.argv[1], None, observer=True)
 {_LISTENS}
 sys.stdin.read()

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.effects import rows
 from mast_zenoh.errors import MessageError
+from mast_zenoh.evaluation.effects import rows
 from mast_zenoh.messages import codec, user_types
 from mast_zenoh.messages.layout import LAYOUTS
 from mast_zenoh.messages.schemas import BUILT_IN, DTYPES, SCHEMAS, Column, Header, Message, Schema, text

@@ -9,8 +9,8 @@ from shapely import affinity
 from shapely.geometry import box as shapely_box
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.effects import Effects
-from mast_zenoh.effects.table import CODE
+from mast_zenoh.evaluation.effects import Effects
+from mast_zenoh.evaluation.effects.table import CODE
 from mast_zenoh.evaluation.estimate_wires import Influences
 from mast_zenoh.evaluation.from_effects import manipulations
 from mast_zenoh.metrics import AttributionLimits, Attributor, Boxes, Record, Scorer, Scores, Series, cause_names

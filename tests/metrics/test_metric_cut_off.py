@@ -7,7 +7,7 @@ import pytest
 from metric_worlds import NOTHING, PICTURE, Row, cars, effects, explained, influences, labelled, passage, recorded
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.effects import Effects
+from mast_zenoh.evaluation.effects import Effects
 from mast_zenoh.evaluation.from_effects import stopped_by_links
 from mast_zenoh.metrics import CutOff, CutOffObjects, Presence, Record, Scorer, Series
 from mast_zenoh.metrics.causes import split

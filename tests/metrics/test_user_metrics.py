@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from metric_worlds import LOCAL, cars, recorded
 
-from mast_zenoh.control.failures import location
+from mast_zenoh.mesh.control.failures import location
 from mast_zenoh.metrics import AttributionLimits, Attributor, Estimate, FrameMetric, RunMetric, Scorer
 from mast_zenoh.metrics.judged_estimate import estimates_of
 from mast_zenoh.metrics.manipulations import Manipulations

@@ -9,9 +9,9 @@ from tiny_world import PERIOD_NS, Bench, Run, detections, picture, pose, tiny, t
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.fusion.pipelines import MissionEstimator
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
-from mast_zenoh.pipelines import MissionEstimator
 
 TRACKS, MISSION, STATUS = "agent/ego/tracks", "agent/ego/mission", "agent/ego/status"
 FAR = (80.0, 80.0)

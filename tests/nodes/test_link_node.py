@@ -14,9 +14,9 @@ from mast_zenoh.arrays.geometry import rotation_from_quaternion, rotation_from_y
 from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.integrity.views import view_columns
 from mast_zenoh.links import FATES, WIRES
+from mast_zenoh.mesh.host import Host, Outgoing
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message
-from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.tracking.view import SensorView
 from mast_zenoh.wiring.model import Wiring
 

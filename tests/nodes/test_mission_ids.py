@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.pipelines import MissionEstimator, OwnAndPicture, PictureFirst
-from mast_zenoh.pipelines.mission import MAX_LOST, RETURNING_S
+from mast_zenoh.fusion.pipelines import MissionEstimator, OwnAndPicture, PictureFirst
+from mast_zenoh.fusion.pipelines.mission import MAX_LOST, RETURNING_S
 
 PERIOD_NS = 100_000_000
 ESTIMATORS = pytest.mark.parametrize("estimator_type", [OwnAndPicture, PictureFirst])

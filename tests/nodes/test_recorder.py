@@ -11,8 +11,8 @@ from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, DiskFull
 from mast_zenoh.launch import run as launcher
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.runtime.inproc import InProcess
 
 SETTINGS = ("n_infrastructure=2", "n_adversaries=1", "attack_start_s=0.2")
 

@@ -8,11 +8,10 @@ from typing import Any
 import pytest
 from driven import driven
 
-from mast_zenoh import replay
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.launch import measurement
+from mast_zenoh.launch import measurement, replay
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.replay.cut import Place
+from mast_zenoh.launch.replay.cut import Place
 
 FRAMES = 40
 GHOSTS = ("attack=GhostAhead", "attack_start_s=1.0")

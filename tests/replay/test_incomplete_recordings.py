@@ -11,9 +11,8 @@ from mcap.writer import MCAP0_MAGIC
 from recorded_runs import FRAMES
 from tiny_world import Run as Played
 
-from mast_zenoh import replay
 from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, RunFolderError, WiringError
-from mast_zenoh.launch import liveness
+from mast_zenoh.launch import liveness, replay
 from mast_zenoh.messages import codec
 from mast_zenoh.run_folder.recording.format import REWIRED, RecordedEvent
 from mast_zenoh.run_folder.recording.reader import Recorded, read

@@ -12,18 +12,17 @@ from driven import driven
 from recorded_runs import FRAMES, RUNS
 from tiny_world import Run as Played
 
-from mast_zenoh import replay
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import NotComparable
-from mast_zenoh.launch import measurement, twin
+from mast_zenoh.launch import measurement, replay, twin
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.replay.cut import Place, ReplayedMesh, cut
-from mast_zenoh.report import html
-from mast_zenoh.report.comparison import reference
-from mast_zenoh.report.findings import outcome
+from mast_zenoh.launch.replay.cut import Place, ReplayedMesh, cut
 from mast_zenoh.run_folder.recording.difference import compare
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show import html
+from mast_zenoh.show.comparison import reference
+from mast_zenoh.show.findings import outcome
 from mast_zenoh.wiring.model import Wiring
 
 
@@ -100,7 +99,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.node import Node
-from mast_zenoh.pipelines import Pipeline
+from mast_zenoh.fusion.pipelines import Pipeline
 
 
 class Witnesses(Node):

@@ -11,11 +11,11 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
 from mast_zenoh.metrics.study_results import BINOMIAL, Statistic
-from mast_zenoh.report.figures import facets
-from mast_zenoh.report.figures.style import Figure
-from mast_zenoh.report.figures.trust import LOG_ODDS, draw_agent, legend, trust_figure
+from mast_zenoh.show.figures import facets
+from mast_zenoh.show.figures.style import Figure
+from mast_zenoh.show.figures.trust import LOG_ODDS, draw_agent, legend, trust_figure
+from mast_zenoh.show.palette import ADVERSARY_ON_LIGHT
 from mast_zenoh.study.defences.matrix_figures import figures_of_defences
-from mast_zenoh.viewer.palette import ADVERSARY_ON_LIGHT
 
 
 def test_every_figure_is_drawn_and_names_the_worst_adversary_in_words() -> None:

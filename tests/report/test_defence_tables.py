@@ -10,8 +10,8 @@ from defence_samples import SHARE, matrix, row, summary
 from kept_texts import assert_kept
 
 from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Statistic
-from mast_zenoh.report.compare import as_text
-from mast_zenoh.report.tables.text_table import measured, median_delay
+from mast_zenoh.show.compare import as_text
+from mast_zenoh.show.tables.text_table import measured, median_delay
 from mast_zenoh.study.defences.matrix_tables import DEFENCE_MEASURES, MatrixTable, defence_tables
 
 

@@ -7,8 +7,8 @@ import pytest
 from field_samples import SCENES, field
 from matplotlib.axes import Axes
 
-from mast_zenoh.report.figures import facets
-from mast_zenoh.report.figures.style import Figure
+from mast_zenoh.show.figures import facets
+from mast_zenoh.show.figures.style import Figure
 from mast_zenoh.study.defences.field_tables import FieldTable
 from mast_zenoh.study.defences.matrix_figures import harm_by_scene
 

@@ -8,7 +8,7 @@ import pytest
 from field_samples import SCENES, field
 from kept_texts import assert_kept
 
-from mast_zenoh.report.compare import as_text
+from mast_zenoh.show.compare import as_text
 from mast_zenoh.study.defences.field_tables import FIELD_MEASURES, field_tables, published_tables
 
 

@@ -13,20 +13,20 @@ from kept_texts import assert_kept
 from rich.console import Console
 from run_samples import edit
 
-from mast_zenoh.report import terminal
-from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.findings import details, findings, headline, of_compared, outcome
-from mast_zenoh.report.findings.adversaries import attacks
-from mast_zenoh.report.findings.causes import reaches
-from mast_zenoh.report.findings.differences import other_differences
-from mast_zenoh.report.findings.finding import Finding
-from mast_zenoh.report.findings.results import during
-from mast_zenoh.report.findings.words import said, text
-from mast_zenoh.report.html import write_page
-from mast_zenoh.report.tables.scores import number, score_table, signed
 from mast_zenoh.runs.events import first_changes
 from mast_zenoh.runs.interposers import interposers
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show import terminal
+from mast_zenoh.show.comparison import Reference
+from mast_zenoh.show.findings import details, findings, headline, of_compared, outcome
+from mast_zenoh.show.findings.adversaries import attacks
+from mast_zenoh.show.findings.causes import reaches
+from mast_zenoh.show.findings.differences import other_differences
+from mast_zenoh.show.findings.finding import Finding
+from mast_zenoh.show.findings.results import during
+from mast_zenoh.show.findings.words import said, text
+from mast_zenoh.show.html import write_page
+from mast_zenoh.show.tables.scores import number, score_table, signed
 
 RunOf = Callable[..., Run]
 Metrics = dict[str, Any]

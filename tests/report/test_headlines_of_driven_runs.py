@@ -9,15 +9,15 @@ import pytest
 from browser import chromium
 from test_report_of_driven_cars import BRAKED, HIT, course, happened
 
-from mast_zenoh.report.comparison import Reference, same_ways
-from mast_zenoh.report.findings import details, headline, of_compared, outcome
-from mast_zenoh.report.findings.adversaries import attacks, effects, limits
-from mast_zenoh.report.findings.cars import worst
-from mast_zenoh.report.findings.words import text
-from mast_zenoh.report.html import write_page
 from mast_zenoh.runs.events import first_changes
 from mast_zenoh.runs.interposers import interposers
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show.comparison import Reference, same_ways
+from mast_zenoh.show.findings import details, headline, of_compared, outcome
+from mast_zenoh.show.findings.adversaries import attacks, effects, limits
+from mast_zenoh.show.findings.cars import worst
+from mast_zenoh.show.findings.words import text
+from mast_zenoh.show.html import write_page
 
 RunOf = Callable[..., Run]
 Driven = Callable[..., tuple[Run, Reference]]

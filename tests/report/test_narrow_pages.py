@@ -8,7 +8,7 @@ from browser import chromium
 from study_samples import BASELINE, estimate, facts, row
 
 from mast_zenoh.metrics.study_results import StudySeries
-from mast_zenoh.report.html import write_study_report, write_trials_page
+from mast_zenoh.show.html import write_study_report, write_trials_page
 
 _SCORES = """() => [...document.querySelectorAll("table.scores")].map(
     (table) => [table.parentElement.scrollWidth, table.parentElement.clientWidth])"""

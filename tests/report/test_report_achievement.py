@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.figures.over_time import driving_over_time
-from mast_zenoh.report.findings import changes, details
-from mast_zenoh.report.findings.adversaries import limits
-from mast_zenoh.report.findings.words import said
-from mast_zenoh.report.tables.of_run import achieved_table, driving_table
-from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show.comparison import Reference
+from mast_zenoh.show.figures.over_time import driving_over_time
+from mast_zenoh.show.findings import changes, details
+from mast_zenoh.show.findings.adversaries import limits
+from mast_zenoh.show.findings.words import said
+from mast_zenoh.show.tables.of_run import achieved_table, driving_table
+from mast_zenoh.show.tables.text_table import DASH
 
 RunOf = Callable[..., Run]
 

@@ -9,9 +9,9 @@ import pytest
 from run_samples import edit
 
 from mast_zenoh.errors import NotComparable
-from mast_zenoh.report import comparison
-from mast_zenoh.report.html import write_report
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show import comparison
+from mast_zenoh.show.html import write_report
 
 Pair = tuple[Path, Path]
 

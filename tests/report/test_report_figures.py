@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw
-from mast_zenoh.report.figures.camera import Eye, clip_polygon
-from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure, side_by_side_figure
-from mast_zenoh.report.figures.legend import draw_legend, legend_entries
-from mast_zenoh.report.figures.over_time import counts_over_time
-from mast_zenoh.report.figures.style import THEMES, Figure, png
-from mast_zenoh.report.figures.view import frame_view
-from mast_zenoh.report.tables.scores import score_table
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.run import Run
 from mast_zenoh.sensing.sensors import Camera
-from mast_zenoh.viewer.palette import ADVERSARY, OUTCOME_COLOURS
+from mast_zenoh.show.figures.camera import Eye, clip_polygon
+from mast_zenoh.show.figures.drawing import birdseye_figure, camera_figure, side_by_side_figure
+from mast_zenoh.show.figures.legend import draw_legend, legend_entries
+from mast_zenoh.show.figures.over_time import counts_over_time
+from mast_zenoh.show.figures.style import THEMES, Figure, png
+from mast_zenoh.show.figures.view import frame_view
+from mast_zenoh.show.palette import ADVERSARY, OUTCOME_COLOURS
+from mast_zenoh.show.tables.scores import score_table
 
 COLOURS = OUTCOME_COLOURS | {"adversary": ADVERSARY}
 

@@ -15,9 +15,9 @@ from run_samples import edit
 from table_writing import write_table
 
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.report.html import write_report, write_study_report
 from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show.html import write_report, write_study_report
 
 RunFolderFixture = Callable[..., Path]
 

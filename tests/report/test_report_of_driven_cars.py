@@ -14,21 +14,21 @@ from page_blocks import unpack
 from run_samples import FRAMES
 from table_writing import write_table
 
-from mast_zenoh.report.comparison import Reference
-from mast_zenoh.report.figures.driven import driven_figure
-from mast_zenoh.report.figures.style import THEMES
-from mast_zenoh.report.figures.window import Window
-from mast_zenoh.report.film.panels import DriveMarks
-from mast_zenoh.report.film.takes import Captions, Take
-from mast_zenoh.report.findings.cars import of_cars
-from mast_zenoh.report.findings.words import said
-from mast_zenoh.report.html import write_report
-from mast_zenoh.report.tables.of_run import driven_table
 from mast_zenoh.runs.driven import course_of, reason_of, twin_course
 from mast_zenoh.runs.files import Table
 from mast_zenoh.runs.run import Run
-from mast_zenoh.viewer.page.block import run_block
-from mast_zenoh.viewer.palette import RUN_COLOURS
+from mast_zenoh.show.comparison import Reference
+from mast_zenoh.show.figures.driven import driven_figure
+from mast_zenoh.show.figures.style import THEMES
+from mast_zenoh.show.figures.window import Window
+from mast_zenoh.show.film.panels import DriveMarks
+from mast_zenoh.show.film.takes import Captions, Take
+from mast_zenoh.show.findings.cars import of_cars
+from mast_zenoh.show.findings.words import said
+from mast_zenoh.show.html import write_report
+from mast_zenoh.show.page.block import run_block
+from mast_zenoh.show.palette import RUN_COLOURS
+from mast_zenoh.show.tables.of_run import driven_table
 
 RunOf = Callable[..., Run]
 GHOST = {"object": 28, "kind": "false", "adversary": "adversary_1"}

@@ -10,16 +10,16 @@ from kept_texts import visible
 from rich.console import Console
 
 import mast_zenoh as mast
-from mast_zenoh.report.film.takes import Take
-from mast_zenoh.report.findings import outcome
-from mast_zenoh.report.findings.adversaries import attacks, limits, positions
-from mast_zenoh.report.findings.defence import of_defence, of_pictures
-from mast_zenoh.report.findings.words import defence_line, said
-from mast_zenoh.report.tables.of_run import picture_table
-from mast_zenoh.report.terminal import show_run
 from mast_zenoh.runs.events import spans
 from mast_zenoh.runs.files import RunFiles
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show.film.takes import Take
+from mast_zenoh.show.findings import outcome
+from mast_zenoh.show.findings.adversaries import attacks, limits, positions
+from mast_zenoh.show.findings.defence import of_defence, of_pictures
+from mast_zenoh.show.findings.words import defence_line, said
+from mast_zenoh.show.tables.of_run import picture_table
+from mast_zenoh.show.terminal import show_run
 
 SETTINGS: dict[str, Any] = dict(n_infrastructure=2, n_mobile=1, attack_start_s=0.3, scene_index=8)
 

@@ -14,8 +14,8 @@ from test_report_confidence import confident
 from test_report_fault_tables import ATTACK, CHECKS, KILL, PARTITION, faulted
 from test_report_trust import doubted, judged
 
-from mast_zenoh.report.html import write_report
-from mast_zenoh.report.terminal import show_run
+from mast_zenoh.show.html import write_report
+from mast_zenoh.show.terminal import show_run
 
 KILLED = {"role": "agent", "pid": 77, "exit": -9, "ended": "killed by signal 9", "restarts": 2}
 KILLED |= {"last_frame": 21, "rejected": {"agent/infra_2/pose: truncated": 3}, "foreign": {}, "failures": []}

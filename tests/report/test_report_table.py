@@ -10,9 +10,9 @@ from rich.console import Console
 
 from mast_zenoh.metrics.estimates import MAIN
 from mast_zenoh.metrics.measures import metric_named
-from mast_zenoh.report.tables.scores import ScoreTable, as_markdown, as_rich, score_table
-from mast_zenoh.report.terminal import show
 from mast_zenoh.run_folder.shapes import check_file
+from mast_zenoh.show.tables.scores import ScoreTable, as_markdown, as_rich, score_table
+from mast_zenoh.show.terminal import show
 
 Counts = tuple[float, float, float]
 

@@ -15,22 +15,6 @@ from rich.console import Console
 from run_samples import edit
 from table_writing import write_table
 
-from mast_zenoh.report import terminal
-from mast_zenoh.report.figures.drawing import birdseye_figure
-from mast_zenoh.report.figures.style import png
-from mast_zenoh.report.figures.trust import trust_over_time
-from mast_zenoh.report.figures.view import frame_view
-from mast_zenoh.report.film import takes
-from mast_zenoh.report.film.takes import Take
-from mast_zenoh.report.findings.causes import causes
-from mast_zenoh.report.findings.changes import MISSED, Change
-from mast_zenoh.report.findings.defence import of_defence, periods
-from mast_zenoh.report.findings.words import said
-from mast_zenoh.report.tables.of_run import (
-    conduct_table,
-    suspension_table,
-    undecided_table,
-)
 from mast_zenoh.runs.events import (
     fault_spans,
     happenings,
@@ -42,7 +26,23 @@ from mast_zenoh.runs.events import (
     withheld_at,
 )
 from mast_zenoh.runs.run import Run
-from mast_zenoh.viewer.palette import STATES, WITHHELD
+from mast_zenoh.show import terminal
+from mast_zenoh.show.figures.drawing import birdseye_figure
+from mast_zenoh.show.figures.style import png
+from mast_zenoh.show.figures.trust import trust_over_time
+from mast_zenoh.show.figures.view import frame_view
+from mast_zenoh.show.film import takes
+from mast_zenoh.show.film.takes import Take
+from mast_zenoh.show.findings.causes import causes
+from mast_zenoh.show.findings.changes import MISSED, Change
+from mast_zenoh.show.findings.defence import of_defence, periods
+from mast_zenoh.show.findings.words import said
+from mast_zenoh.show.palette import STATES, WITHHELD
+from mast_zenoh.show.tables.of_run import (
+    conduct_table,
+    suspension_table,
+    undecided_table,
+)
 
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
 FRAMES, DETECTED, FAULTY = 40, 20, 25

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mast_zenoh.report.figures.drawing import birdseye_figure, camera_figure
-from mast_zenoh.report.figures.view import choose_common_frame, choose_frame, frame_view
-from mast_zenoh.report.figures.window import window_of
 from mast_zenoh.runs.files import RunFiles
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show.figures.drawing import birdseye_figure, camera_figure
+from mast_zenoh.show.figures.view import choose_common_frame, choose_frame, frame_view
+from mast_zenoh.show.figures.window import window_of
 
 
 def a_run(

@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from mast_zenoh.report.figures.diagram import draw_wiring
-from mast_zenoh.report.figures.style import svg
-from mast_zenoh.report.tables.wiring import HIGH, ROW, WIDE, Spot, layout, wire_rows
 from mast_zenoh.runs.files import RunFiles
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show.figures.diagram import draw_wiring
+from mast_zenoh.show.figures.style import svg
+from mast_zenoh.show.tables.wiring import HIGH, ROW, WIDE, Spot, layout, wire_rows
 
 
 def a_run(wires: list[dict[str, Any]], roles: dict[str, str] | None = None) -> Run:

@@ -6,8 +6,8 @@ import pytest
 from study_samples import BASELINE, estimate, facts, grid, row
 
 from mast_zenoh.metrics.study_results import StudyRow, StudySeries
-from mast_zenoh.report.figures import study
-from mast_zenoh.report.figures.study import Panel, figures_over_trials, panels
+from mast_zenoh.show.figures import study
+from mast_zenoh.show.figures.study import Panel, figures_over_trials, panels
 
 
 def labels(panel: Panel) -> dict[str, list[str]]:

@@ -7,9 +7,9 @@ from parsed_page import Page
 from study_samples import BASELINE, facts, grid
 
 from mast_zenoh.metrics.study_results import FailedTrial
-from mast_zenoh.report.figures.study import figures_over_trials
-from mast_zenoh.report.html import write_trials_page
-from mast_zenoh.report.tables.text_table import TextTable
+from mast_zenoh.show.figures.study import figures_over_trials
+from mast_zenoh.show.html import write_trials_page
+from mast_zenoh.show.tables.text_table import TextTable
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2), false_positives=(1.0, 5.0, 20.0))]
 FAILED = [

@@ -14,10 +14,10 @@ from study_samples import BASELINE, estimate, facts, grid, row
 
 from mast_zenoh.metrics.significance import holm
 from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Statistic, StudyRow, StudySeries, shares
-from mast_zenoh.report.narrative.study import compare, other_changes, reservations, result
-from mast_zenoh.report.tables import study
-from mast_zenoh.report.tables.study_rows import over_trials
-from mast_zenoh.report.tables.text_table import TextTable
+from mast_zenoh.show.narrative.study import compare, other_changes, reservations, result
+from mast_zenoh.show.tables import study
+from mast_zenoh.show.tables.study_rows import over_trials
+from mast_zenoh.show.tables.text_table import TextTable
 from mast_zenoh.study.statistics import trial_estimate
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2, 3)), *grid("coordinated", 0.5, n=(1, 2, 3))]

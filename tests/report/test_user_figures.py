@@ -13,16 +13,16 @@ from typer.testing import CliRunner
 from mast_zenoh.cli.app import app
 from mast_zenoh.config import loading
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.report.figures.of_run import OURS, user_figures
-from mast_zenoh.report.html import write_report
-from mast_zenoh.report.run_figure import SECTIONS, FigureContext, RunFigure
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show.figures.of_run import OURS, user_figures
+from mast_zenoh.show.html import write_report
+from mast_zenoh.show.run_figure import SECTIONS, FigureContext, RunFigure
 
 Folder = Callable[..., Path]
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(100)
 
 FIGURES = """
-from mast_zenoh.report import RunFigure
+from mast_zenoh.show import RunFigure
 
 
 class Blank(RunFigure):
@@ -49,7 +49,7 @@ class Unfinished(RunFigure):
     pass
 """
 BROKEN = """
-from mast_zenoh.report import RunFigure
+from mast_zenoh.show import RunFigure
 
 
 class Torn(RunFigure):
@@ -155,7 +155,7 @@ def test_a_figure_that_cannot_be_drawn_is_named_with_the_reason(run_folder: Fold
 def test_no_figure_changes_the_rest_of_the_report(run_folder: Folder, tmp_path: Path) -> None:
     folder = run_folder()
     source = """
-from mast_zenoh.report import RunFigure
+from mast_zenoh.show import RunFigure
 
 class Forger(RunFigure):
     def draw(self, context):

@@ -15,12 +15,12 @@ from tiny_world import tiny
 from mast_zenoh import scenario
 from mast_zenoh.attacks import UncoordinatedAttack
 from mast_zenoh.config.process_steps import ProcessStep
-from mast_zenoh.control import failures
 from mast_zenoh.errors import NodeDied, StartError
+from mast_zenoh.mesh.control import failures
+from mast_zenoh.mesh.host import Host
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.node import Context, Node, Overheard, Received
-from mast_zenoh.runtime.host import Host
-from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.wiring.model import ANY, Input, Ports
 
 ENTRY = {

@@ -9,10 +9,10 @@ from scipy.optimize import linear_sum_assignment
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import results
+from mast_zenoh.mesh.control import results
+from mast_zenoh.mesh.host import Outgoing
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.messages import codec
-from mast_zenoh.runtime.host import Outgoing
-from mast_zenoh.runtime.inproc import InProcess
 
 FRAMES, BEGIN = 30, 12
 ON_TRACKS = 'keyexpr.rewrites=["on_tracks.toml"]'

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.errors import ConfigurationError, MessageError
+from mast_zenoh.mesh.host import Host, Outgoing
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, text
 from mast_zenoh.node import Context, Node, Overheard, Received
-from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.streams import stream
 from mast_zenoh.wiring.model import ANY, Input, Ports
 

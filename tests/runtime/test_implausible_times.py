@@ -11,13 +11,13 @@ from tiny_world import PERIOD_NS, Bench, Run, states, tiny
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.effects.passages import RESTAMPED
 from mast_zenoh.errors import MessageError
+from mast_zenoh.evaluation.effects.passages import RESTAMPED
 from mast_zenoh.links import ClockSkew
+from mast_zenoh.mesh.host import Host
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.limits import Timespan
 from mast_zenoh.messages.schemas import Header, text
-from mast_zenoh.runtime.host import Host
 from mast_zenoh.wiring.model import Ports
 from mast_zenoh.wiring.received import Overheard
 

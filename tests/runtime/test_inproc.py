@@ -8,10 +8,10 @@ import pytest
 from tiny_world import Run, tiny
 
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import results
 from mast_zenoh.errors import RunError
-from mast_zenoh.runtime import inproc
-from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.mesh import inproc
+from mast_zenoh.mesh.control import results
+from mast_zenoh.mesh.inproc import InProcess
 
 LINK = Path(__file__).with_name("lossy_link.py")
 ATTACKED = ("n_adversaries=1", "attack_start_s=0.2")

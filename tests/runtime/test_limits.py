@@ -15,15 +15,12 @@ from hypothesis import strategies as st
 from tiny_world import tracks
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.control.flow import Epoch
-from mast_zenoh.control.key_marks import control_mark
-from mast_zenoh.messages import codec
-from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
-from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.host import Host, Outgoing
-from mast_zenoh.runtime.protocol.events import DroppedEvent, EpochEvent, MessageEvent, StopEvent
-from mast_zenoh.runtime.protocol.pacer import SETTLE_EVERY
-from mast_zenoh.runtime.protocol.traffic import (
+from mast_zenoh.mesh.control.flow import Epoch
+from mast_zenoh.mesh.control.key_marks import control_mark
+from mast_zenoh.mesh.host import Host, Outgoing
+from mast_zenoh.mesh.protocol.events import DroppedEvent, EpochEvent, MessageEvent, StopEvent
+from mast_zenoh.mesh.protocol.pacer import SETTLE_EVERY
+from mast_zenoh.mesh.protocol.traffic import (
     ATTACHMENT,
     FOREIGN,
     MARK,
@@ -34,7 +31,10 @@ from mast_zenoh.runtime.protocol.traffic import (
     stamp,
     stamp_of,
 )
-from mast_zenoh.runtime.waiting import DELAYED, EARLY, HELD, INBOX, Limit, Room
+from mast_zenoh.mesh.waiting import DELAYED, EARLY, HELD, INBOX, Limit, Room
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import SCHEMAS, Header, Message, text
+from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.wiring.insertion import InsertionPoint, insert
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
@@ -121,7 +121,7 @@ def test_the_source_of_a_key_is_its_publisher_in_the_newest_wiring() -> None:
 @pytest.mark.parametrize("encode", [True, False])
 def test_a_flood_through_a_delaying_link_loses_only_its_own_messages(encode, monkeypatch) -> None:
     one = len(codec.encode(tracks_of("b", n=10)))
-    monkeypatch.setattr("mast_zenoh.runtime.host.DELAYED", Limit(100, 3 * one))
+    monkeypatch.setattr("mast_zenoh.mesh.host.DELAYED", Limit(100, 3 * one))
     host, outbox = hosting(Relay(after_s=0.1), encode=encode)
     host.deliver("clock", clock(0), 0)
     for seq in range(5):

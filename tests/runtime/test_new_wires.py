@@ -11,11 +11,11 @@ import pytest
 
 import mast_zenoh as mast
 from mast_zenoh.errors import WiringError
-from mast_zenoh.report.findings.adversaries import limits
-from mast_zenoh.report.tables.of_run import message_table
-from mast_zenoh.report.tables.scores import score_table
-from mast_zenoh.report.tables.text_table import DASH
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show.findings.adversaries import limits
+from mast_zenoh.show.tables.of_run import message_table
+from mast_zenoh.show.tables.scores import score_table
+from mast_zenoh.show.tables.text_table import DASH
 from mast_zenoh.study.numbers import numbers
 
 INTENTS = """

@@ -14,10 +14,10 @@ from mast_zenoh import scenario
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import liveness, measurement
 from mast_zenoh.launch.measurement import results_of
-from mast_zenoh.report import html, terminal
 from mast_zenoh.run_folder.recording.format import REWIRED, RecordedEvent
 from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.run_folder.tables import read_table
+from mast_zenoh.show import html, terminal
 
 pytestmark = pytest.mark.heavy
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from tiny_world import tracks
 
 from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.mesh.host import Host, Outgoing
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.wiring.model import Input, Ports
 
 PERIOD_NS = 10**8

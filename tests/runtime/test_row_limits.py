@@ -10,11 +10,11 @@ from tiny_world import Bench, tiny, tracks
 from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.launch import notices
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.messages import codec
 from mast_zenoh.messages import limits as row_limits
 from mast_zenoh.messages.limits import OVERHEARD, RowChoice, RowLimits
 from mast_zenoh.messages.schemas import Header, Message
-from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.wiring.model import Input
 from mast_zenoh.wiring.received import Overheard
 

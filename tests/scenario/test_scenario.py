@@ -298,7 +298,7 @@ def test_user_defined_algorithms_can_be_named_by_type(tmp_path: Path) -> None:
 OWN_PIPELINE = """
 import numpy as np
 
-from mast_zenoh.pipelines import Pipeline
+from mast_zenoh.fusion.pipelines import Pipeline
 
 class OneAgent(Pipeline):
     def __init__(self, *, believed: str) -> None:

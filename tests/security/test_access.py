@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mast_zenoh import scenario
-from mast_zenoh.security.access import access_control
-from mast_zenoh.security.credentials import LAUNCHER
+from mast_zenoh.mesh.security.access import access_control
+from mast_zenoh.mesh.security.credentials import LAUNCHER
 from mast_zenoh.wiring.model import Endpoint, Leg, Listener, Wire, Wiring
 
 includes = cache(lambda allowed, key: zenoh.KeyExpr(allowed).includes(zenoh.KeyExpr(key)))

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.errors import ConfigurationError, CredentialsError
-from mast_zenoh.security.authority import Authority
-from mast_zenoh.security.credentials import LAUNCHER, ROUTER, Credentials, common_name
-from mast_zenoh.security.deployment import Deployment
-from mast_zenoh.security.levels import LEVELS, client_settings, endpoint, hosts, router_settings
+from mast_zenoh.mesh.security.authority import Authority
+from mast_zenoh.mesh.security.credentials import LAUNCHER, ROUTER, Credentials, common_name
+from mast_zenoh.mesh.security.deployment import Deployment
+from mast_zenoh.mesh.security.levels import LEVELS, client_settings, endpoint, hosts, router_settings
 from mast_zenoh.wiring.model import Wiring
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 
-from mast_zenoh.security import diagnosis, explain
-from mast_zenoh.security.authority import Authority
-from mast_zenoh.security.credentials import ROUTER, UNREACHED, Credentials
+from mast_zenoh.mesh.security import diagnosis, explain
+from mast_zenoh.mesh.security.authority import Authority
+from mast_zenoh.mesh.security.credentials import ROUTER, UNREACHED, Credentials
 
 # Fixed times, because the names of these tests contain them: all pytest workers must find the same names.
 LONG_AGO, FAR_AHEAD, HOUR = datetime(2020, 1, 1, tzinfo=UTC), datetime(2100, 1, 1, tzinfo=UTC), timedelta(hours=1)

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from mast_zenoh.control.flow import END
 from mast_zenoh.launch import launcher_protocol
-from mast_zenoh.runtime import host
-from mast_zenoh.runtime.protocol import driver, node, pacer, rewiring, traffic
-from mast_zenoh.runtime.protocol.events import MessageEvent
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT
+from mast_zenoh.mesh import host
+from mast_zenoh.mesh.control.flow import END
+from mast_zenoh.mesh.protocol import driver, node, pacer, rewiring, traffic
+from mast_zenoh.mesh.protocol.events import MessageEvent
+from mast_zenoh.mesh.protocol.traffic import ATTACHMENT
 from mast_zenoh.testing.simulation import simulation
 
 Plant = Callable[[pytest.MonkeyPatch], None]

@@ -8,9 +8,9 @@ import pytest
 from small_worlds import small_worlds
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.runtime import protocol_log as log
-from mast_zenoh.runtime.protocol.events import AnyEvent, DroppedEvent, MessageEvent, RewireEvent
-from mast_zenoh.runtime.protocol_log import ProcessLog, difference, logged_protocol, read, replay
+from mast_zenoh.mesh import protocol_log as log
+from mast_zenoh.mesh.protocol.events import AnyEvent, DroppedEvent, MessageEvent, RewireEvent
+from mast_zenoh.mesh.protocol_log import ProcessLog, difference, logged_protocol, read, replay
 from mast_zenoh.testing.simulation import Disturbance, Schedule, SimulatedWorld, play, processes, random_schedule
 
 WORLDS = small_worlds()

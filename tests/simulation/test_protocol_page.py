@@ -10,8 +10,8 @@ from planted_bugs import PLANTS
 from test_found_schedules import FOUND
 
 from mast_zenoh.launch import launcher_protocol
-from mast_zenoh.runtime import host
-from mast_zenoh.runtime.protocol import driver, events, node, pacer, rewiring, traffic
+from mast_zenoh.mesh import host
+from mast_zenoh.mesh.protocol import driver, events, node, pacer, rewiring, traffic
 from mast_zenoh.testing.simulation import SimulatedWorld, play, random_schedule
 from mast_zenoh.testing.simulation.processes import SimulatedProcess
 from mast_zenoh.testing.simulation.simulation import Simulation

@@ -11,7 +11,7 @@ from simulated_runs import assert_equals_one_process, harmless_schedules, on_sim
 from tiny_world import tiny
 
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.runtime.inproc import InProcess
+from mast_zenoh.mesh.inproc import InProcess
 
 DATA = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data")
 SUPPORT = Path(__file__).parents[1] / "support"

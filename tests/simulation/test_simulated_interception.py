@@ -10,8 +10,8 @@ from simulated_runs import assert_same_messages, in_one_process, listening, on_s
 from small_worlds import small_world
 
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control.interception import Intercept
 from mast_zenoh.launch import live_interception
+from mast_zenoh.mesh.control.interception import Intercept
 from mast_zenoh.messages import codec
 from mast_zenoh.testing.simulation import SimulatedWorld, check, play
 from mast_zenoh.wiring.insertion import InsertionPoint

@@ -11,9 +11,9 @@ from pyarrow import parquet
 from synthetic_outcomes import FRAMES, outcome, study
 
 from mast_zenoh.metrics.study_results import StudyRow
-from mast_zenoh.report.narrative.study import compare
-from mast_zenoh.report.tables.study import sections
 from mast_zenoh.run_folder.tables import to_arrow
+from mast_zenoh.show.narrative.study import compare
+from mast_zenoh.show.tables.study import sections
 from mast_zenoh.study.numbers import Number, numbers, values
 from mast_zenoh.study.store import TableWriter, table_writer
 from mast_zenoh.study.tables import ParameterColumns, Samples

@@ -63,7 +63,7 @@ def arrange(stage: str, words: list[str]) -> None:
 
         before(run.run_folder, "versions", words)
     elif stage == "building":
-        from mast_zenoh.runtime.inproc import InProcess
+        from mast_zenoh.mesh.inproc import InProcess
 
         before(InProcess, "run", words)
     elif stage == "playing":
@@ -75,7 +75,7 @@ def arrange(stage: str, words: list[str]) -> None:
 
         before(conclusion, "write", words)
     elif stage == "reporting":
-        from mast_zenoh.report import html
+        from mast_zenoh.show import html
 
         before(html, "write_page", words)
     else:

@@ -2,8 +2,8 @@
 
 from typing import Any
 
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.mesh.hosting import main
 
 
 class Guard(Node):

@@ -16,7 +16,7 @@ import psutil
 import pytest
 import zenoh
 
-from mast_zenoh.runtime.mesh.session import open_client
+from mast_zenoh.mesh.session import open_client
 
 MAST = (sys.executable, "-m", "mast_zenoh")
 

@@ -10,8 +10,8 @@ from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.processes import Processes
-from mast_zenoh.runtime.mesh.session import open_router
-from mast_zenoh.security import levels
+from mast_zenoh.mesh.security import levels
+from mast_zenoh.mesh.session import open_router
 
 
 class BesideProcesses(Processes):

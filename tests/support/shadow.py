@@ -1,8 +1,8 @@
 """A user-written adversary that displaces detections by all agents' poses."""
 
 from mast_zenoh.gather import Gather
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.mesh.hosting import main
 
 
 class Shadow(Node):

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 from mast_zenoh import scenario
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import results
-from mast_zenoh.control.interception import Intercept
+from mast_zenoh.mesh.control import results
+from mast_zenoh.mesh.control.interception import Intercept
+from mast_zenoh.mesh.host import Outgoing
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.messages import codec
 from mast_zenoh.node import Context, Node, Overheard, Received
-from mast_zenoh.runtime.host import Outgoing
-from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.testing.simulation import (
     Disturbance,
     Schedule,

@@ -10,7 +10,7 @@ import numpy as np
 
 from mast_zenoh.config.process_steps import ProcessStep
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.control.interception import Intercept
+from mast_zenoh.mesh.control.interception import Intercept
 from mast_zenoh.node import Context, Node, Received, Source
 from mast_zenoh.testing.simulation import SimulatedWorld
 from mast_zenoh.wiring.insertion import InsertionPoint

@@ -7,7 +7,7 @@ import msgpack
 import numpy as np
 from insider.position import FAILURE, RESULT
 
-from mast_zenoh.control import codec, failures, files, flow, interception, results
+from mast_zenoh.mesh.control import codec, failures, files, flow, interception, results
 from mast_zenoh.wiring.model import Endpoint, Leg, Listener, Wire, Wiring
 
 TAP = "agent/ego/tracks/@tap/0"

@@ -11,11 +11,11 @@ from mast_zenoh import scenario
 from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_yaw, rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections, ObjectStates
 from mast_zenoh.config.resolved import Resolved, build_node
-from mast_zenoh.control import results
+from mast_zenoh.mesh.control import results
+from mast_zenoh.mesh.host import Host, Outgoing
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message
-from mast_zenoh.runtime.host import Host, Outgoing
-from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.scenes.agents import SceneAgent
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.recording import Recording, truth_states

@@ -11,7 +11,7 @@ from mast_zenoh.fusion import (
     GroupTrackerWrapper,
     SampledAssignmentClusterer,
 )
-from mast_zenoh.pipelines import CommandCenterPipeline
+from mast_zenoh.fusion.pipelines import CommandCenterPipeline
 from mast_zenoh.tracking import KalmanBoxTracker3D
 
 STEP_S = 0.1

@@ -8,7 +8,7 @@ import pytest
 from mast_zenoh import testing
 from mast_zenoh.arrays.states import concatenate
 from mast_zenoh.fusion import CovarianceIntersectionFusion, GroupTrackerWrapper, SampledAssignmentClusterer
-from mast_zenoh.pipelines import AgentPipeline, CommandCenterPipeline, PictureFirst
+from mast_zenoh.fusion.pipelines import AgentPipeline, CommandCenterPipeline, PictureFirst
 from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.sensing import CleanDetector
 from mast_zenoh.tracking import KalmanBoxTracker3D

@@ -14,8 +14,8 @@ from mast_zenoh.attacks.real_objects import SlowDrift
 from mast_zenoh.attacks.selection import ConflictSelection
 from mast_zenoh.driving.following import IntelligentDriverModel
 from mast_zenoh.fusion.input_limit import FairInput
+from mast_zenoh.fusion.pipelines.heard import HeardTracks
 from mast_zenoh.fusion.regions import Around, Rectangle
-from mast_zenoh.pipelines.heard import HeardTracks
 from mast_zenoh.sensing import DetectionModel, LastingErrors, LidarSensor
 from mast_zenoh.v2x.congestion import AdaptiveDcc, ReactiveDcc
 

@@ -58,8 +58,8 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A repository with one commit."""
     files = {
         "mast_zenoh/errors.py": "a = 1\n",
-        "mast_zenoh/report/pages/page.py": "a = 1\nb = 2\n",
-        "mast_zenoh/report/page.html.j2": "<p>\n</p>\n",
+        "mast_zenoh/show/pages/page.py": "a = 1\nb = 2\n",
+        "mast_zenoh/show/page.html.j2": "<p>\n</p>\n",
         "mast_zenoh/kernels/fast.pyx": "cdef int a = 1  # yes\n",
         "plugins/datasets/mast_datasets/reader.py": "a = 1\n",
         "plugins/datasets/tests/test_reader.py": "\n# raw\n",
@@ -81,18 +81,18 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_rooms_tests_and_pages_are_counted_apart(checkout: Path, capsys: pytest.CaptureFixture[str]) -> None:
     size.main(["--json"])
     now = json.loads(capsys.readouterr().out)["now"]
-    assert now["rooms"] == {"(files)": 1, "report": 2, "plugins": 1}
+    assert now["rooms"] == {"(files)": 1, "show": 2, "plugins": 1}
     counts = {size.TOTAL: 4, size.PACKAGE: 3, size.FILES: 3, size.TESTS: 3, "templates": 2, "Cython": 1}
     assert now["others"] == counts | {size.PAGES: 1, size.WORDS: 3, size.GENERATED: 1, size.GENERATED_WORDS: 6}
 
 
 def test_a_commit_is_compared_with_what_is_checked_out(checkout: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (checkout / "mast_zenoh/report/pages/page.py").unlink()
+    (checkout / "mast_zenoh/show/pages/page.py").unlink()
     (checkout / "mast_zenoh/runs").mkdir()
     (checkout / "mast_zenoh/runs/run.py").write_text("a = 1\nb = 2\nc = 3\n")
     size.main(["--against", "HEAD"])
     lines = {line[:24].strip(): line[24:].split() for line in capsys.readouterr().out.splitlines()}
-    assert lines["report"] == ["2", "0", "-2"]
+    assert lines["show"] == ["2", "0", "-2"]
     assert lines["runs"] == ["0", "3", "+3"]
     assert lines["(files)"] == ["1", "1", "+0"]
     assert lines[size.TOTAL] == ["4", "5", "+1"]

@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, to_world, wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections, ObjectStates, concatenate
-from mast_zenoh.pipelines import Pipeline
+from mast_zenoh.fusion.pipelines import Pipeline
 from mast_zenoh.tracking import SensorView, Tracker
 
 FIRST, LAST = 6, -10  # frames that are scored

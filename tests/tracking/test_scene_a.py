@@ -18,7 +18,7 @@ from mast_zenoh.fusion import (
     SampledAssignmentClusterer,
     UnfilteredGroupTracker,
 )
-from mast_zenoh.pipelines import CommandCenterPipeline
+from mast_zenoh.fusion.pipelines import CommandCenterPipeline
 from mast_zenoh.tracking import KalmanBoxTracker3D
 
 

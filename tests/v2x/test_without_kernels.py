@@ -8,14 +8,14 @@ import pytest
 
 import mast_zenoh as mast
 from mast_zenoh import kernels, scenario
-from mast_zenoh.checks.evidence import RunEvidence
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.launch import run as launcher
+from mast_zenoh.launch.checks.evidence import RunEvidence
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.messages import codec
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runs.recorded import open_recorded
-from mast_zenoh.runtime.inproc import InProcess
 from mast_zenoh.v2x.asn1 import cpm_fields
 
 SMALL = ("n_infrastructure=1", "n_mobile=1")

@@ -8,7 +8,7 @@ import pytest
 from plain_record import PlainRecord
 
 import mast_zenoh as mast
-from mast_zenoh.viewer.export import export
+from mast_zenoh.show.export import export
 
 FRAMES = 30  # more than a chunk of the recording
 

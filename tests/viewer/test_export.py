@@ -9,8 +9,8 @@ from commands_in_process import command
 
 import mast_zenoh as mast
 from mast_zenoh.errors import ExportError, RunFolderError
-from mast_zenoh.viewer.export import export, pcap
-from mast_zenoh.viewer.formats import FORMATS, GONE
+from mast_zenoh.show.export import export, pcap
+from mast_zenoh.show.formats import FORMATS, GONE
 
 
 @pytest.mark.parametrize(("name", "instead"), GONE.items())
@@ -94,7 +94,7 @@ def test_a_folder_that_does_not_exist_and_an_unknown_format_are_named(recorded: 
 def test_a_package_that_is_not_installed_is_named_with_its_extra(
     recorded: mast.Run, out: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str, extra: str
 ) -> None:
-    monkeypatch.delitem(sys.modules, f"mast_zenoh.viewer.export.{name}", raising=False)
+    monkeypatch.delitem(sys.modules, f"mast_zenoh.show.export.{name}", raising=False)
     for module in [module for module in sys.modules if module.split(".")[0] == package]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, package, None)

@@ -24,9 +24,9 @@ from mast_zenoh.messages.packed import pack
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.run_folder.recording.reader import Recorded, Wanted, read
 from mast_zenoh.runs.recorded import open_recorded
+from mast_zenoh.show.export import export, pcap
 from mast_zenoh.v2x import cam, cpm
 from mast_zenoh.v2x.reference_position import Position
-from mast_zenoh.viewer.export import export, pcap
 
 SCENE_BEGINS_S = 1_072_915_200  # 2004-01-01
 INTERCEPTED = "agent/infra_1/broadcast"

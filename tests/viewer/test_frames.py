@@ -24,7 +24,7 @@ from mast_zenoh.runs.evaluated import Outcomes
 from mast_zenoh.runs.recorded import frames_of, open_recorded
 from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.runs.run import Run
-from mast_zenoh.viewer.export.columns import stem
+from mast_zenoh.show.export.columns import stem
 from mast_zenoh.wiring.model import Wiring
 
 

@@ -12,7 +12,9 @@ from recorded_observer import NUMBERS, RecordedObserver
 import mast_zenoh as mast
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.control import prefix
+from mast_zenoh.mesh.control import prefix
+from mast_zenoh.mesh.protocol.traffic import stamp
+from mast_zenoh.mesh.session import open_client, open_router
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.run_folder.tables import from_arrow, read_table
 from mast_zenoh.runs.frame import Frame
@@ -20,9 +22,7 @@ from mast_zenoh.runs.live.measurement import FrameMeter, seen
 from mast_zenoh.runs.live.observer import Observer
 from mast_zenoh.runs.live.reception import LegState, Sample, WireMeter
 from mast_zenoh.runs.recorded import frames_of, open_recorded
-from mast_zenoh.runtime.mesh.session import open_client, open_router
-from mast_zenoh.runtime.protocol.traffic import stamp
-from mast_zenoh.viewer.page.live_view import LASTING, LiveBlocks
+from mast_zenoh.show.page.live_view import LASTING, LiveBlocks
 from mast_zenoh.wiring.model import Wiring
 
 _OBJECTS = ("agent", "estimator", "kind", "outcome", "id", "match_id", "x", "y")

@@ -13,9 +13,6 @@ from page_blocks import unpack
 
 import mast_zenoh as mast
 from mast_zenoh.config import loading
-from mast_zenoh.report.film.takes import Take
-from mast_zenoh.report.film.writing import schedule
-from mast_zenoh.report.html import write_report
 from mast_zenoh.run_folder import read_json
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.run_folder.tables import TableFile, read_table
@@ -24,7 +21,10 @@ from mast_zenoh.runs.recorded import frames_of, open_recorded
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes import recording as recording_module
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.viewer.page.block import run_block
+from mast_zenoh.show.film.takes import Take
+from mast_zenoh.show.film.writing import schedule
+from mast_zenoh.show.html import write_report
+from mast_zenoh.show.page.block import run_block
 
 opening = loading.module(Path(__file__).parents[2] / "benchmarks" / "opening.py")
 EVERY = 4
@@ -32,7 +32,7 @@ EVERY = 4
 #: Writes the page of a run and prints its peak memory, KiB (`ru_maxrss` would be that of the parent, too).
 WRITE_PAGE = """
 import pathlib, re, sys
-from mast_zenoh.report import html
+from mast_zenoh.show import html
 html.write_report(pathlib.Path(sys.argv[1]))
 print(re.search(r"VmHWM:\\s+(\\d+) kB", pathlib.Path("/proc/self/status").read_text())[1])
 """
@@ -135,7 +135,7 @@ def test_a_film_of_a_long_run_shows_every_frame_whole(
 
 
 def test_a_film_of_a_long_run_ends_by_itself(recorded: mast.Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mast_zenoh.report.film.writing.MOST_FRAMES", 12)
+    monkeypatch.setattr("mast_zenoh.show.film.writing.MOST_FRAMES", 12)
     take = Take(Run(recorded.path), "picture")
     assert list(schedule(take, 5, None, 1.0, None).frames) == [*range(5, 17)]
     assert list(schedule(take, 5, 25, 1.0, None).frames) == [*range(5, 26)]

@@ -5,7 +5,7 @@ import pytest
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.integrity import STATES
-from mast_zenoh.viewer.palette import GROUNDS, KEYS, rgb
+from mast_zenoh.show.palette import GROUNDS, KEYS, rgb
 
 #: Linear RGB as seen with full deficiency: Machado, Oliveira and Fernandes (2009), table 1.
 VISION = {

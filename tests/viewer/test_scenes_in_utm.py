@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 
 import mast_zenoh as mast
 from mast_zenoh.scenes import Recording
-from mast_zenoh.viewer.export import export
+from mast_zenoh.show.export import export
 
 #: East and north, m: Munich; Nairobi, south of the equator; the origin.
 PLACES = {"munich": (691_000.0, 5_336_000.0), "nairobi": (257_000.0, 9_857_000.0), "origin": (0.0, 0.0)}

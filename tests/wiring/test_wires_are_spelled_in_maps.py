@@ -23,7 +23,7 @@ PORTS = {
     if end.partition(".")[2] not in {each["message"] for each in ENTRIES}
 }
 #: Names in files of other tools that look like keys.
-OTHERS = {"mast_zenoh/viewer/export/rrd.py"}
+OTHERS = {"mast_zenoh/show/export/rrd.py"}
 
 
 def spelled(tree: ast.Module) -> list[str]:

@@ -38,11 +38,11 @@ from mast_zenoh.errors import EngineError, Interrupted
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.processes import ENVIRONMENT
 from mast_zenoh.launch.supervisor import Child, how_ended
-from mast_zenoh.runtime.mesh.session import open_router
-from mast_zenoh.runtime.strays import RUN
-from mast_zenoh.security import levels
-from mast_zenoh.security.credentials import ROUTER
-from mast_zenoh.security.deployment import Deployment
+from mast_zenoh.mesh.security import levels
+from mast_zenoh.mesh.security.credentials import ROUTER
+from mast_zenoh.mesh.security.deployment import Deployment
+from mast_zenoh.mesh.session import open_router
+from mast_zenoh.mesh.strays import RUN
 
 if TYPE_CHECKING:
     import asyncssh

@@ -24,7 +24,7 @@ import zipfile
 from typing import Any
 
 _SAY_VERSION = "from mast_zenoh import version; print(version.version_string())"
-_IMPORT_ALL = "import mast_zenoh.deploy.remote_node, mast_zenoh.tracking, mast_zenoh.pipelines; "
+_IMPORT_ALL = "import mast_zenoh.deploy.remote_node, mast_zenoh.tracking, mast_zenoh.fusion.pipelines; "
 
 
 def probe(folder: str, environment: str, release: str) -> dict[str, Any]:

@@ -45,7 +45,7 @@ from mast_zenoh.launch.process_stat import processor_time_s, stat_of
 NOT_THERE = 7  #: exit code of a client if no warden answers
 
 _CONTROL = "control"
-_UP = "mast-up"  # mast_zenoh.runtime.mesh.hosting.UP; that module is not imported: the warden stays small
+_UP = "mast-up"  # mast_zenoh.mesh.hosting.UP; that module is not imported: the warden stays small
 _TICK_S = 0.2
 _TOUCH_EVERY_S = 15.0
 _STATES_EVERY_S = 2.0

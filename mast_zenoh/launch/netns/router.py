@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 
-from mast_zenoh.runtime.mesh.session import open_router
+from mast_zenoh.mesh.session import open_router
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -17,15 +17,15 @@ import zenoh
 from mast_zenoh import run_folder
 from mast_zenoh.config.allowed_code import OWN_RUN, SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, Resolved
-from mast_zenoh.control import codec, prefix
-from mast_zenoh.control.codec import Name, Roles
-from mast_zenoh.control.files import DESCRIBE, WITHOUT_SCENE, Description, decode_description
-from mast_zenoh.control.flow import wiring_of
 from mast_zenoh.errors import ConfigurationError, MessageError, NotRunning, SceneError, UntrustedCode
 from mast_zenoh.launch import liveness, measurement
 from mast_zenoh.launch.context import VIEWER_CREDENTIALS
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.liveness import check_from_here
+from mast_zenoh.mesh.control import codec, prefix
+from mast_zenoh.mesh.control.codec import Name, Roles
+from mast_zenoh.mesh.control.files import DESCRIBE, WITHOUT_SCENE, Description, decode_description
+from mast_zenoh.mesh.control.flow import wiring_of
 from mast_zenoh.messages import user_types
 from mast_zenoh.run_folder import read_json
 from mast_zenoh.scenes.recording import Recording

@@ -13,6 +13,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, MessageError
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.measurement import listening_host
+from mast_zenoh.mesh.host import Host
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
@@ -23,7 +24,6 @@ from mast_zenoh.runs.live.address import LiveAddress
 from mast_zenoh.runs.live.reception import Sample
 from mast_zenoh.runs.routes import CLOCK, routes
 from mast_zenoh.runs.run import Run
-from mast_zenoh.runtime.host import Host
 from mast_zenoh.wiring.model import ANY, Endpoint, Wiring
 
 #: Parameters of the evaluator that decide how a frame is measured; the others only concern summaries of runs.

@@ -14,15 +14,15 @@ from typing import Any
 import zenoh
 
 from mast_zenoh.config.resolved import driver_of
-from mast_zenoh.control import prefix
 from mast_zenoh.errors import MessageError
+from mast_zenoh.mesh.control import prefix
+from mast_zenoh.mesh.session import direct
 from mast_zenoh.messages import codec
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.live.address import LiveAddress
 from mast_zenoh.runs.live.every_frame import SETTLING, FrameAssembler, Tally, patience_for, room_for
 from mast_zenoh.runs.live.measurement import FrameMeter, seen
 from mast_zenoh.runs.live.reception import KEPT, ArrivedMessage, Reception, Sample, WireMeter, WireState
-from mast_zenoh.runtime.mesh.session import direct
 from mast_zenoh.wiring.model import Wiring
 
 #: Most frames a second that are measured.

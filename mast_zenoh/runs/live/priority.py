@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.runtime.mesh.hosting import LISTENER_NICENESS
+from mast_zenoh.mesh.hosting import LISTENER_NICENESS
 
 #: Niceness of an observer, the greatest: no frame waits for it. An environment variable changes it.
 _NICENESS, NICENESS = 19, "MAST_VIEWER_NICENESS"

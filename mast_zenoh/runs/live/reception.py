@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import zenoh
 
 from mast_zenoh.errors import MessageError
+from mast_zenoh.mesh.protocol.traffic import stamp_of
 from mast_zenoh.messages import codec
-from mast_zenoh.runtime.protocol.traffic import stamp_of
 from mast_zenoh.wiring.model import Wire, Wiring
 
 #: Messages of a key that are kept after they were taken from its ring, and for which the ring has room by default.

@@ -15,8 +15,9 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.metrics import Table
 from mast_zenoh.metrics.study_results import Row, Statistic
-from mast_zenoh.report.findings.words import paragraph
-from mast_zenoh.report.tables.text_table import (
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.show.findings.words import paragraph
+from mast_zenoh.show.tables.text_table import (
     ResultTables,
     number,
     numbers_of_rows,
@@ -24,7 +25,6 @@ from mast_zenoh.report.tables.text_table import (
     shown,
     table_of_rows,
 )
-from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences import honest_majority
 from mast_zenoh.study.defences.intervals import pooled, share_of_trials
 from mast_zenoh.study.defences.kinds import Factors, Kind
@@ -32,8 +32,8 @@ from mast_zenoh.study.numbers import ego, scored_frames
 from mast_zenoh.study.trial import TrialOutcome
 
 if TYPE_CHECKING:
-    from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.runs.run import Run
+    from mast_zenoh.show.figures.drawing import RenderedFigure
 
 #: Half of the trials, and half of the objects.
 HALF = 0.5
@@ -309,9 +309,9 @@ def _figure(rows: Sequence[Row], words: str, size: str) -> RenderedFigure:
     """A panel for each attack, and a curve for each number of agents next to its bound."""
     from matplotlib.lines import Line2D  # drawing libraries are slow to load
 
-    from mast_zenoh.report.figures.drawing import render
-    from mast_zenoh.report.figures.facets import Axis, facet, legend_above
-    from mast_zenoh.viewer.palette import LOCAL, RUN_COLOURS
+    from mast_zenoh.show.figures.drawing import render
+    from mast_zenoh.show.figures.facets import Axis, facet, legend_above
+    from mast_zenoh.show.palette import LOCAL, RUN_COLOURS
 
     shown = [
         replace(row, of=row.of | {"share": 100.0 * _share(row), "curve": f"{row.of['agents']} agents"})

@@ -17,8 +17,9 @@ from mast_zenoh.metrics.causes import ATTACK_CAUSES
 from mast_zenoh.metrics.estimates import LOCAL, PICTURE
 from mast_zenoh.metrics.significance import clearest
 from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Row, Statistic
-from mast_zenoh.report.findings.words import of_study, paragraph
-from mast_zenoh.report.tables.text_table import (
+from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.show.findings.words import of_study, paragraph
+from mast_zenoh.show.tables.text_table import (
     DASH,
     FEW_TRIALS,
     ResultTables,
@@ -30,14 +31,13 @@ from mast_zenoh.report.tables.text_table import (
     table_of_rows,
     whole_percent,
 )
-from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.numbers import ego, scored_frames
 from mast_zenoh.study.trial import TrialOutcome
 
 if TYPE_CHECKING:
-    from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.runs.run import Run
+    from mast_zenoh.show.figures.drawing import RenderedFigure
 
 #: Classes of vehicles that could carry sensors.
 _VEHICLES = [CLASS_INDEX[name] for name in ("car", "truck", "bus")]
@@ -178,8 +178,8 @@ class Cooperation(Kind):
     def figures(self, table: Sequence[Row]) -> Mapping[str, RenderedFigure]:
         if not table:
             return {}
-        from mast_zenoh.report.figures.drawing import render  # drawing libraries are slow to load
-        from mast_zenoh.report.figures.facets import Axis, facet
+        from mast_zenoh.show.figures.drawing import render  # drawing libraries are slow to load
+        from mast_zenoh.show.figures.facets import Axis, facet
 
         panels = [Axis(*panel) for panel in _PANELS]
         figure = facet(table, "agents", panels, "architecture", columns=2, label="agents", log=True)

@@ -28,8 +28,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Row, Statistic
-from mast_zenoh.report.findings.words import paragraph
-from mast_zenoh.report.tables.text_table import (
+from mast_zenoh.show.findings.words import paragraph
+from mast_zenoh.show.tables.text_table import (
     FEW_TRIALS,
     ResultTables,
     digits,

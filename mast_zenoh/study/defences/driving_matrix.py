@@ -18,9 +18,9 @@ import numpy as np
 from mast_zenoh.metrics.estimates import MISSION
 from mast_zenoh.metrics.significance import clearest
 from mast_zenoh.metrics.study_results import NEGLIGIBLE, Row, Statistic, plural
-from mast_zenoh.report.findings.words import of_study, paragraph
-from mast_zenoh.report.tables.study_rows import over_trials
-from mast_zenoh.report.tables.text_table import (
+from mast_zenoh.show.findings.words import of_study, paragraph
+from mast_zenoh.show.tables.study_rows import over_trials
+from mast_zenoh.show.tables.text_table import (
     BOUNDS,
     DASH,
     ResultTables,
@@ -36,7 +36,7 @@ from mast_zenoh.study.numbers import own_metrics
 from mast_zenoh.study.trial import TrialOutcome
 
 if TYPE_CHECKING:
-    from mast_zenoh.report.figures.drawing import RenderedFigure
+    from mast_zenoh.show.figures.drawing import RenderedFigure
 
 #: Effects that change no message.
 _UNCHANGED = frozenset({"unsettled"})
@@ -176,8 +176,8 @@ class DrivingMatrix(Kind):
 
     def figures(self, table: Sequence[DrivingRow]) -> Mapping[str, RenderedFigure]:
         """A panel for each measure, with a line for each attack, and on it a point for each defence."""
-        from mast_zenoh.report.figures.drawing import render  # drawing libraries are slow to load
-        from mast_zenoh.report.figures.facets import Axis, facet
+        from mast_zenoh.show.figures.drawing import render  # drawing libraries are slow to load
+        from mast_zenoh.show.figures.facets import Axis, facet
 
         rows = [
             Row({"attack": row.title, "defence": row.of["defence"] or "no defence"}, row.trials, row.numbers)

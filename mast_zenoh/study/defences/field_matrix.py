@@ -11,7 +11,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.study_results import Row, Statistic
-from mast_zenoh.report.tables.text_table import ResultTables
+from mast_zenoh.show.tables.text_table import ResultTables
 from mast_zenoh.study.defences import SCENE_KINDS, UNDEFENDED, breakdown, intervals, matrix
 from mast_zenoh.study.defences.breakdown import HALF, mean_crossing, measures_of_breaking, suspended_before_liars
 from mast_zenoh.study.defences.field_tables import (
@@ -29,8 +29,8 @@ from mast_zenoh.study.defences.matrix import alone, is_fault, lies, undefended
 from mast_zenoh.study.trial import TrialKey, TrialOutcome
 
 if TYPE_CHECKING:
-    from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.runs.run import Run
+    from mast_zenoh.show.figures.drawing import RenderedFigure
 
 _ROUNDING = 1e-12
 #: Titles of kinds of scene.

@@ -19,9 +19,9 @@ import msgspec
 
 from mast_zenoh.metrics.significance import holm
 from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, Row, Statistic
-from mast_zenoh.report.findings.words import names as join_names
-from mast_zenoh.report.findings.words import of_study, paragraph
-from mast_zenoh.report.tables.text_table import (
+from mast_zenoh.show.findings.words import names as join_names
+from mast_zenoh.show.findings.words import of_study, paragraph
+from mast_zenoh.show.tables.text_table import (
     BOUNDS,
     DASH,
     ResultTables,

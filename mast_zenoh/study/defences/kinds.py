@@ -26,9 +26,9 @@ from mast_zenoh.study.trial import TrialKey, TrialOutcome
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from mast_zenoh.report.figures.drawing import RenderedFigure
-    from mast_zenoh.report.tables.text_table import ResultTables
     from mast_zenoh.runs.run import Run
+    from mast_zenoh.show.figures.drawing import RenderedFigure
+    from mast_zenoh.show.tables.text_table import ResultTables
 
 
 class Factors(dict[str, Any]):

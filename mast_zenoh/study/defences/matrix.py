@@ -16,7 +16,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Row, Statistic, Survival, TrustPanel
 from mast_zenoh.metrics.trust import auc, partial_auc, roc
-from mast_zenoh.report.tables.text_table import ResultTables
+from mast_zenoh.show.tables.text_table import ResultTables
 from mast_zenoh.study.defences import PREFIX, UNDEFENDED, intervals
 from mast_zenoh.study.defences.intervals import kaplan_meier
 from mast_zenoh.study.defences.kinds import Factors, Kind
@@ -25,8 +25,8 @@ from mast_zenoh.study.numbers import ego, own_metrics
 from mast_zenoh.study.trial import TrialKey, TrialOutcome
 
 if TYPE_CHECKING:
-    from mast_zenoh.report.figures.drawing import RenderedFigure
     from mast_zenoh.runs.run import Run
+    from mast_zenoh.show.figures.drawing import RenderedFigure
 
 #: Panels of trust over time, and agents in a panel.
 MAX_PANELS, MAX_AGENTS = 12, 5

@@ -10,15 +10,15 @@ from typing import Any
 from matplotlib.axes import Axes
 
 from mast_zenoh.metrics.study_results import Row, Statistic
-from mast_zenoh.report.figures.drawing import RenderedFigure, render
-from mast_zenoh.report.figures.facets import Axis, HeatMap, facet, heat_facet, marks
-from mast_zenoh.report.figures.style import LINE_STYLES, Figure, light_axes, plain
-from mast_zenoh.report.figures.trust import trust_figure
-from mast_zenoh.report.findings.words import paragraph
-from mast_zenoh.report.tables.text_table import number
+from mast_zenoh.show.figures.drawing import RenderedFigure, render
+from mast_zenoh.show.figures.facets import Axis, HeatMap, facet, heat_facet, marks
+from mast_zenoh.show.figures.style import LINE_STYLES, Figure, light_axes, plain
+from mast_zenoh.show.figures.trust import trust_figure
+from mast_zenoh.show.findings.words import paragraph
+from mast_zenoh.show.palette import INK, LOCAL, RUN_COLOURS
+from mast_zenoh.show.tables.text_table import number
 from mast_zenoh.study.defences.field_tables import FieldTable
 from mast_zenoh.study.defences.matrix_tables import MatrixTable
-from mast_zenoh.viewer.palette import INK, LOCAL, RUN_COLOURS
 
 
 def figures_of_defences(matrix: MatrixTable) -> dict[str, RenderedFigure]:

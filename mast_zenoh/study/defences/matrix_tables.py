@@ -11,8 +11,8 @@ from typing import Any
 from mast_zenoh.metrics.significance import clearest
 from mast_zenoh.metrics.study_results import MIN_SEEDS, Row, Statistic, Survival, TrustPanel, plural
 from mast_zenoh.metrics.trust import Roc
-from mast_zenoh.report.findings.words import paragraph
-from mast_zenoh.report.tables.text_table import (
+from mast_zenoh.show.findings.words import paragraph
+from mast_zenoh.show.tables.text_table import (
     DASH,
     FEW_TRIALS,
     ResultTables,

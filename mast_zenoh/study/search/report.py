@@ -20,12 +20,13 @@ from matplotlib.ticker import MaxNLocator
 
 from mast_zenoh import run_folder
 from mast_zenoh.metrics.study_results import Row, Statistic
-from mast_zenoh.report.figures.drawing import RenderedFigure, render
-from mast_zenoh.report.figures.facets import curve
-from mast_zenoh.report.figures.style import LINE_STYLES, Figure, light_axes, plain
-from mast_zenoh.report.findings.words import of_study, paragraph
-from mast_zenoh.report.tables.study_rows import MOSTLY_ZERO, over_trials
-from mast_zenoh.report.tables.text_table import (
+from mast_zenoh.show.figures.drawing import RenderedFigure, render
+from mast_zenoh.show.figures.facets import curve
+from mast_zenoh.show.figures.style import LINE_STYLES, Figure, light_axes, plain
+from mast_zenoh.show.findings.words import of_study, paragraph
+from mast_zenoh.show.palette import INK, LOCAL, RUN_COLOURS
+from mast_zenoh.show.tables.study_rows import MOSTLY_ZERO, over_trials
+from mast_zenoh.show.tables.text_table import (
     DASH,
     ResultTables,
     TextTable,
@@ -38,7 +39,6 @@ from mast_zenoh.report.tables.text_table import (
 from mast_zenoh.study.defences.kinds import StudyFiles, write_files
 from mast_zenoh.study.search.plan import SEARCHED, as_text
 from mast_zenoh.study.search.results import ESTIMATES, SearchResults
-from mast_zenoh.viewer.palette import INK, LOCAL, RUN_COLOURS
 
 
 def write(folder: Path, results: SearchResults) -> StudyFiles:

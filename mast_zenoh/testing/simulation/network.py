@@ -13,7 +13,7 @@ from collections.abc import Callable, Hashable
 from random import Random
 from typing import Any, Generic, Protocol, TypeVar
 
-from mast_zenoh.runtime.protocol.events import Event, MatchedEvent, MessageEvent
+from mast_zenoh.mesh.protocol.events import Event, MatchedEvent, MessageEvent
 from mast_zenoh.testing.simulation.world import Schedule
 
 S = 1_000_000_000  #: ns in a second

@@ -11,13 +11,12 @@ from contextlib import nullcontext
 from typing import Any, Protocol
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.control.flow import StopKind
-from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.launch.launcher_protocol import RunState
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.messages import codec
-from mast_zenoh.runtime.protocol import events
-from mast_zenoh.runtime.protocol.actions import (
+from mast_zenoh.mesh.control.flow import StopKind
+from mast_zenoh.mesh.control.signatures import Signatures
+from mast_zenoh.mesh.protocol import events
+from mast_zenoh.mesh.protocol.actions import (
     DOZE_S,
     DRAIN_TIMEOUT_S,
     OFFER_TIMEOUT_S,
@@ -25,10 +24,11 @@ from mast_zenoh.runtime.protocol.actions import (
     Actions,
     Clocks,
 )
-from mast_zenoh.runtime.protocol.driver import DriverProtocol, protocol_of
-from mast_zenoh.runtime.protocol.node import CLOCK
-from mast_zenoh.runtime.protocol.traffic import ATTACHMENT, EventInbox, Item, ProcessContext
-from mast_zenoh.runtime.waiting import Limit, Room
+from mast_zenoh.mesh.protocol.driver import DriverProtocol, protocol_of
+from mast_zenoh.mesh.protocol.node import CLOCK
+from mast_zenoh.mesh.protocol.traffic import ATTACHMENT, EventInbox, Item, ProcessContext
+from mast_zenoh.mesh.waiting import Limit, Room
+from mast_zenoh.messages import codec
 from mast_zenoh.testing.simulation.network import SimulatedNetwork, VirtualTime
 from mast_zenoh.testing.simulation.world import Schedule, SimulatedWorld
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Container, Iterable, Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
-from mast_zenoh.control import failures
+from mast_zenoh.mesh.control import failures
 from mast_zenoh.run_folder.recording.churn import LOST
 from mast_zenoh.testing.comparison import first_difference
 from mast_zenoh.testing.simulation.simulation import SimulationOutcome, play

@@ -8,12 +8,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
-from mast_zenoh.control import failures, flow
-from mast_zenoh.control.failures import Entry
-from mast_zenoh.control.interception import Intercept, Release
-from mast_zenoh.control.results import decode_part, decode_result
-from mast_zenoh.control.signatures import Signatures
-from mast_zenoh.control.tables import PartedTables
 from mast_zenoh.errors import MessageError
 from mast_zenoh.launch.launcher_protocol import (
     DRIVER_TIMEOUT_S,
@@ -23,7 +17,13 @@ from mast_zenoh.launch.launcher_protocol import (
     RunState,
     churn_of,
 )
-from mast_zenoh.runtime.protocol.driver import DriverProtocol
+from mast_zenoh.mesh.control import failures, flow
+from mast_zenoh.mesh.control.failures import Entry
+from mast_zenoh.mesh.control.interception import Intercept, Release
+from mast_zenoh.mesh.control.results import decode_part, decode_result
+from mast_zenoh.mesh.control.signatures import Signatures
+from mast_zenoh.mesh.control.tables import PartedTables
+from mast_zenoh.mesh.protocol.driver import DriverProtocol
 from mast_zenoh.testing.simulation.network import LEASE_NS, S
 from mast_zenoh.testing.simulation.processes import SimulatedMesh, SimulatedProcess, SimulatedSupervisor
 from mast_zenoh.testing.simulation.world import Disturbance, Schedule, SimulatedWorld

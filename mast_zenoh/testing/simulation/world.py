@@ -9,9 +9,9 @@ from random import Random
 from typing import Any, NamedTuple
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved, build_node, has_topics_outside
-from mast_zenoh.control.interception import Intercept
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.launch import live_interception
+from mast_zenoh.mesh.control.interception import Intercept
 from mast_zenoh.messages import user_types
 from mast_zenoh.node import Node
 

@@ -34,10 +34,10 @@ from mast_zenoh.config.resolved import build_node
 from mast_zenoh.config.settings import nested
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.launch.live_interception import node_of, ports_of
+from mast_zenoh.mesh.host import Host, Outgoing
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body, Header, Message
 from mast_zenoh.node import Node
-from mast_zenoh.runtime.host import Host, Outgoing
 from mast_zenoh.scenario.nodes import node_spec
 from mast_zenoh.wiring.model import Input, Ports
 

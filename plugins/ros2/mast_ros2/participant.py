@@ -29,8 +29,8 @@ from mast_ros2.names import ros2_name
 from mast_ros2.qos import Qos
 from mast_ros2.type_store import RosMessage
 from mast_zenoh.errors import MessageError, NotRunning
+from mast_zenoh.mesh.session import open_session
 from mast_zenoh.outside import OutsideTopic
-from mast_zenoh.runtime.mesh.session import open_session
 
 log = logging.getLogger("mast.ros2")
 

@@ -21,7 +21,7 @@ from mast_zenoh.metrics.record import Series
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.routes import POSE, TRUST
 from mast_zenoh.runs.run import Run
-from mast_zenoh.viewer.export.columns import AXES, WORLD, cameras, colours
+from mast_zenoh.show.export.columns import AXES, WORLD, cameras, colours
 
 #: The root of all frames of reference, which RViz expects: at the run's origin, as RViz has 32 bits for a coordinate.
 MAP = "map"

@@ -28,7 +28,7 @@ _RMW_ZENOHD: Mapping[str, Any] = {
 @contextmanager
 def ros2_router(settings: Mapping[str, Any] | None = None, protocol: str = "tcp") -> Iterator[str]:
     """A router of rmw_zenoh, at the endpoint that is yielded. settings: others than those of rmw_zenohd"""
-    from mast_zenoh.runtime.mesh.session import open_session
+    from mast_zenoh.mesh.session import open_session
 
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

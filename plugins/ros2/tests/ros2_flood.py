@@ -21,7 +21,7 @@ from mast_ros2.pose_messages import transform_message
 from mast_ros2.spatial import Transform
 from ros2_messages import random_message, random_states
 
-from mast_zenoh.runtime.mesh.session import open_client
+from mast_zenoh.mesh.session import open_client
 
 FRAMES = ("map", "intercepted", "infra_1", "nowhere", "", "x" * 300, "/map", "a", "b")
 TIMES = (0, 100_000_000, 4_000_000_000_000_000_000, -1, 50_000_000)

@@ -26,8 +26,8 @@ from ros2_keys import parse_data_key
 from tiny_world import tiny
 
 from mast_zenoh.launch import run as launcher
+from mast_zenoh.mesh.session import open_client
 from mast_zenoh.runs.recorded import frames_of, open_recorded
-from mast_zenoh.runtime.mesh.session import open_client
 
 GOLDEN = Path(__file__).parent / "ros2_golden_session.json"
 _SESSION = "5e5510f0"

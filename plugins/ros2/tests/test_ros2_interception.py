@@ -26,7 +26,7 @@ from mast_ros2.received_poses import ReceivedPose
 from ros2_messages import plain, random_states
 
 from mast_zenoh.errors import MessageError, NodeFileError
-from mast_zenoh.runtime.mesh.session import open_router
+from mast_zenoh.mesh.session import open_router
 from tests.support import commands_in_process
 from tests.support.launched import MAST, eventually
 

@@ -10,9 +10,9 @@ import pytest
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
+from mast_zenoh.mesh.session import open_router
 from mast_zenoh.messages import codec
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.runtime.mesh.session import open_router
 
 PAGE = (Path(__file__).parents[3] / "docs" / "ros2_nodes.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"^```python file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))

@@ -19,7 +19,7 @@ from mast_ros2.pose_messages import clock
 from mast_ros2.qos import Qos
 
 from mast_zenoh.errors import ConfigurationError, NotRunning
-from mast_zenoh.runtime.mesh.session import open_client, open_router
+from mast_zenoh.mesh.session import open_client, open_router
 from tests.support.launched import eventually
 
 DEADLINE_S = 20.0

@@ -22,9 +22,9 @@ from tiny_world import Run, tiny
 
 from mast_zenoh.errors import NotRunning
 from mast_zenoh.launch import run as launcher
+from mast_zenoh.mesh.outside_link import OutsideLink
+from mast_zenoh.mesh.session import open_client, open_router
 from mast_zenoh.outside import OutsideTopic, OutsideTopics
-from mast_zenoh.runtime.mesh.session import open_client, open_router
-from mast_zenoh.runtime.outside_link import OutsideLink
 from tests.support.launched import eventually
 
 DEADLINE_S = 30.0

@@ -17,9 +17,9 @@ from typer.testing import CliRunner
 import mast_zenoh as mast
 from mast_zenoh.cli.app import app
 from mast_zenoh.errors import ExportError
-from mast_zenoh.report.film import writing
-from mast_zenoh.report.film.look import Look
-from mast_zenoh.report.film.sheet import Sheet
+from mast_zenoh.show.film import writing
+from mast_zenoh.show.film.look import Look
+from mast_zenoh.show.film.sheet import Sheet
 
 pytestmark = pytest.mark.heavy
 

@@ -10,8 +10,8 @@ import pytest
 import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError, ExportError, MastError, RunFolderError
 from mast_zenoh.launch import liveness
-from mast_zenoh.report.film.look import Look
-from mast_zenoh.report.film.writing import open_takes, schedule
+from mast_zenoh.show.film.look import Look
+from mast_zenoh.show.film.writing import open_takes, schedule
 
 INVALID: list[tuple[str, dict[str, Any], type[MastError], str]] = [
     ("film.avi", {}, ExportError, r"film\.avi: expected a name that ends with \.mp4, \.gif or \.webm"),

@@ -14,8 +14,8 @@ from PIL import Image
 from table_writing import write_table
 
 import mast_zenoh as mast
-from mast_zenoh.report.film.look import Look
-from mast_zenoh.report.film.writing import snapshot
+from mast_zenoh.show.film.look import Look
+from mast_zenoh.show.film.writing import snapshot
 
 
 def centres(outlines: object) -> np.ndarray:

@@ -8,18 +8,18 @@ from unittest.mock import MagicMock
 import pytest
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.control import files
-from mast_zenoh.control.codec import encode
-from mast_zenoh.control.flow import Epoch
-from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.launch.conclusion import on_launcher_clock, percentiles
 from mast_zenoh.launch.file_server import FileServer
+from mast_zenoh.mesh.control import files
+from mast_zenoh.mesh.control.codec import encode
+from mast_zenoh.mesh.control.flow import Epoch
+from mast_zenoh.mesh.control.signatures import Signatures
+from mast_zenoh.mesh.file_client import FileClient
+from mast_zenoh.mesh.protocol.events import EpochEvent, MessageEvent
+from mast_zenoh.mesh.zenoh_process import ZenohProcess
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
 from mast_zenoh.node import Context, Node, Received, Source
-from mast_zenoh.runtime.file_client import FileClient
-from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
-from mast_zenoh.runtime.protocol.events import EpochEvent, MessageEvent
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 JUMP_NS = 49 * 60 * 10**9

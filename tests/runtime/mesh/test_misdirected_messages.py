@@ -18,17 +18,17 @@ import pytest
 import zenoh
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
-from mast_zenoh.control.codec import InvalidMessages
-from mast_zenoh.control.flow import Epoch
-from mast_zenoh.control.signatures import Signatures
 from mast_zenoh.launch.context import Mesh
 from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.reports import Reports
+from mast_zenoh.mesh.control.codec import InvalidMessages
+from mast_zenoh.mesh.control.flow import Epoch
+from mast_zenoh.mesh.control.signatures import Signatures
+from mast_zenoh.mesh.protocol.events import EpochEvent, MessageEvent
+from mast_zenoh.mesh.zenoh_process import ZenohProcess
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.mesh.zenoh_process import ZenohProcess
-from mast_zenoh.runtime.protocol.events import EpochEvent, MessageEvent
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 CONTROL = "mast/x/@control"

@@ -6,8 +6,8 @@ from contextlib import suppress
 
 import zenoh
 
-from mast_zenoh.runtime.mesh.session import open_client, open_router
-from mast_zenoh.runtime.mesh.zenoh_process import keeping_state
+from mast_zenoh.mesh.session import open_client, open_router
+from mast_zenoh.mesh.zenoh_process import keeping_state
 
 
 def test_a_thread_that_receives_has_one_python_state_however_many_samples_it_takes() -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from mast_zenoh.runtime.protocol.pacer import Membership, Pacer, TokenPresence
+from mast_zenoh.mesh.protocol.pacer import Membership, Pacer, TokenPresence
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 

@@ -5,11 +5,11 @@ from typing import Any
 import pytest
 from hosted import Hosted
 
-from mast_zenoh.control.flow import Epoch
+from mast_zenoh.mesh.control.flow import Epoch
+from mast_zenoh.mesh.protocol.events import EpochEvent, HandedInEvent, MatchedEvent, StopEvent
+from mast_zenoh.mesh.protocol.node import HAND_IN_TIMEOUT_S, MATCH_TIMEOUT_S, State
+from mast_zenoh.mesh.protocol.pacer import SETTLE_EVERY
 from mast_zenoh.node import Node
-from mast_zenoh.runtime.protocol.events import EpochEvent, HandedInEvent, MatchedEvent, StopEvent
-from mast_zenoh.runtime.protocol.node import HAND_IN_TIMEOUT_S, MATCH_TIMEOUT_S, State
-from mast_zenoh.runtime.protocol.pacer import SETTLE_EVERY
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
 
 

@@ -39,7 +39,7 @@ class Polite(PassThrough):
 """
 KIND = """
 from mast_zenoh.metrics.study_results import Row
-from mast_zenoh.report.tables.text_table import ResultTables, numbers_of_rows, shown, table_of_rows
+from mast_zenoh.show.tables.text_table import ResultTables, numbers_of_rows, shown, table_of_rows
 from mast_zenoh.study.defences.kinds import Kind
 
 class Misses(Kind):

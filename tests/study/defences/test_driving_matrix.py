@@ -17,7 +17,7 @@ from mast_zenoh.config.scene_names import parse_scene
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.metrics.study_results import Statistic
-from mast_zenoh.report.tables.text_table import ResultTables
+from mast_zenoh.show.tables.text_table import ResultTables
 from mast_zenoh.study import definition
 from mast_zenoh.study.defences.driving_matrix import (
     DRIVING_MEASURES,

@@ -13,7 +13,7 @@ from rich.console import Console
 from search_samples import BASELINE, DEFAULT, changed, results, search_row, with_rows
 
 from mast_zenoh.metrics.study_results import Statistic
-from mast_zenoh.report.figures.style import Figure
+from mast_zenoh.show.figures.style import Figure
 from mast_zenoh.study.search import report as search_figures
 from mast_zenoh.study.search.plan import SEARCHED
 from mast_zenoh.study.search.report import candidates_csv, search_tables, short_names

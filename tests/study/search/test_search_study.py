@@ -28,8 +28,8 @@ FILES = ("search.md", "search.csv", "candidates.csv", "search.json", "search.png
 def install(made: Synthetic, patch: pytest.MonkeyPatch) -> Synthetic:
     """Use synthetic trials. Figures that every study has, and PDFs, are slow to draw, and tested elsewhere."""
     patch.setattr(execution, "workers", made.workers)
-    patch.setattr("mast_zenoh.report.figures.study.figures_over_trials", lambda *_: {})
-    patch.setattr("mast_zenoh.report.figures.drawing.pdf", lambda _: b"%PDF")
+    patch.setattr("mast_zenoh.show.figures.study.figures_over_trials", lambda *_: {})
+    patch.setattr("mast_zenoh.show.figures.drawing.pdf", lambda _: b"%PDF")
     return made
 
 

@@ -13,8 +13,8 @@ from sound_controls import CODECS
 
 from insider.position import FAILURE, MARKER, RESULT, Position, valid_message
 from mast_zenoh import streams
-from mast_zenoh.control import CONTROLS, results
-from mast_zenoh.control.results import EVALUATOR
+from mast_zenoh.mesh.control import CONTROLS, results
+from mast_zenoh.mesh.control.results import EVALUATOR
 
 #: Kinds sent as queries; all others are published.
 QUERIES = frozenset({"result", "fetch", "file", "drain", "rewire", "intercept"})

@@ -1,7 +1,7 @@
 """A user-written interposer that forwards messages and can delay a third."""
 
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.runtime.mesh.hosting import main
 
 
 class Relay(Node):

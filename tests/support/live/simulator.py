@@ -3,8 +3,8 @@
 from typing import Any
 
 from mast_zenoh.config import bundle, loading
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context
-from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.scenes.recording import Recording
 
 TIMES = 200

@@ -10,9 +10,9 @@ from browser import FRAME, FRAMES, WatchedPage, chromium
 
 from mast_zenoh import scenario
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.report.html import write_report
 from mast_zenoh.runs.run import Run
-from mast_zenoh.viewer.page.page import viewer_page
+from mast_zenoh.show.html import write_report
+from mast_zenoh.show.page.page import viewer_page
 
 #: Few objects are near each other, and both liars are soon suspended.
 SPARSE = "scene.dense=False"

@@ -3,11 +3,11 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { colourOfKind, faded, mixed } from "../../../mast_zenoh/viewer/page/js/palette.js";
-import { clipPolygon, clipSegment, Lens, NEAR_M } from "../../../mast_zenoh/viewer/page/js/perspective.js";
-import { expand, groupByFrame } from "../../../mast_zenoh/viewer/page/js/run.js";
-import { around, reserveSigns, troubleOf, writeLabel } from "../../../mast_zenoh/viewer/page/js/signs.js";
-import { CameraWindow, Viewport, wholeImage } from "../../../mast_zenoh/viewer/page/js/windows.js";
+import { colourOfKind, faded, mixed } from "../../../mast_zenoh/show/page/js/palette.js";
+import { clipPolygon, clipSegment, Lens, NEAR_M } from "../../../mast_zenoh/show/page/js/perspective.js";
+import { expand, groupByFrame } from "../../../mast_zenoh/show/page/js/run.js";
+import { around, reserveSigns, troubleOf, writeLabel } from "../../../mast_zenoh/show/page/js/signs.js";
+import { CameraWindow, Viewport, wholeImage } from "../../../mast_zenoh/show/page/js/windows.js";
 
 const beyond = (axis, limit) => (point) => point[axis] - limit;
 

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { beforeEach, test } from "node:test";
 
-import { FrameHistory } from "../../../mast_zenoh/viewer/page/js/live_run.js";
+import { FrameHistory } from "../../../mast_zenoh/show/page/js/live_run.js";
 
 const WHOLE = ["id", "kind", "truth", "known", "effect", "downlink", "by", "subscriber", "frame"];
 const GEOMETRY = ["frame", "id", "x", "y", "z", "l", "w", "h", "yaw"];

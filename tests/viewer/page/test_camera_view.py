@@ -16,10 +16,10 @@ from page_blocks import unpack
 
 from mast_zenoh.arrays.geometry import box_corners, to_local, to_world
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.report.figures.camera import clip_polygon
 from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.runs.run import Run
-from mast_zenoh.viewer.page.block import run_block
+from mast_zenoh.show.figures.camera import clip_polygon
+from mast_zenoh.show.page.block import run_block
 
 pytestmark = pytest.mark.heavy
 
@@ -42,7 +42,7 @@ FACES = {
 def test_random_polygons_are_cut_as_numpy_cuts_them() -> None:
     rng = np.random.default_rng(3)
     polygons = [rng.normal(0.0, 10.0, (count, 3)) for count in rng.integers(3, 9, 40).tolist()]
-    module = Path(str(resources.files("mast_zenoh.viewer.page") / "js" / "perspective.js")).as_uri()
+    module = Path(str(resources.files("mast_zenoh.show.page") / "js" / "perspective.js")).as_uri()
     points = json.dumps([polygon.tolist() for polygon in polygons])
     script = f"""import {{ clipPolygon }} from "{module}";
     console.log(JSON.stringify({points}.map((polygon) => clipPolygon(polygon, (point) => point[0] - {NEAR}))));"""

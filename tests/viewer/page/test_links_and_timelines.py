@@ -10,7 +10,7 @@ from browser import FRAMES, WatchedPage
 
 from mast_zenoh.runs.events import spans
 from mast_zenoh.runs.run import Run
-from mast_zenoh.viewer.page.page import viewer_page
+from mast_zenoh.show.page.page import viewer_page
 
 OpenPage = Callable[..., WatchedPage]
 

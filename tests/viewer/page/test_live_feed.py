@@ -14,7 +14,7 @@ from own_requests import answer
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from mast_zenoh.viewer.page.live_server import FRAMES, MOST_PAGES, QUEUED, Feed, LiveServer
+from mast_zenoh.show.page.live_server import FRAMES, MOST_PAGES, QUEUED, Feed, LiveServer
 
 LASTING = {"label": "a run"}
 

@@ -10,8 +10,8 @@ from launched import eventually
 from recorded_observer import RecordedObserver
 
 from mast_zenoh.runs.live.reception import LegState, WireState
-from mast_zenoh.viewer.page.live_server import Feed, LiveServer
-from mast_zenoh.viewer.page.live_view import LiveBlocks
+from mast_zenoh.show.page.live_server import Feed, LiveServer
+from mast_zenoh.show.page.live_view import LiveBlocks
 
 pytestmark = pytest.mark.heavy
 

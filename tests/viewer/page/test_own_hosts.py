@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mast_zenoh.viewer.page.live_server import is_own_host, tunnel
+from mast_zenoh.show.page.live_server import is_own_host, tunnel
 
 
 def test_only_names_of_this_computer_are_its_own() -> None:

@@ -11,8 +11,8 @@ from browser import WatchedPage
 from own_requests import answer
 
 from mast_zenoh.errors import ConfigurationError, NotComparable, RunFolderError
-from mast_zenoh.viewer.page.live_server import FRAMES, PageServer
-from mast_zenoh.viewer.page.page import policy, viewer_page
+from mast_zenoh.show.page.live_server import FRAMES, PageServer
+from mast_zenoh.show.page.page import policy, viewer_page
 
 
 @pytest.fixture

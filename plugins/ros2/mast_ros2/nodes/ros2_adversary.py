@@ -16,8 +16,8 @@ from mast_ros2.connection import Connection
 from mast_ros2.frame_exchange import Timing
 from mast_ros2.participant import joined
 
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Node, OutsideTopics, Received
-from mast_zenoh.runtime.mesh.hosting import main
 
 #: Messages that wait for their answer in real time, at most.
 MAX_WAITING = 256

@@ -22,9 +22,9 @@ from mast_ros2.participant import joined
 
 from mast_zenoh.arrays.geometry import states_to_local
 from mast_zenoh.arrays.states import Detections
+from mast_zenoh.fusion.pipelines import Pose
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, OutsideTopics, Received
-from mast_zenoh.pipelines import Pose
-from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.sensing import to_sensor
 
 #: Frames without their answer that are kept.

@@ -18,9 +18,9 @@ from mast_ros2.frame_exchange import Timing
 from mast_ros2.participant import joined
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.mesh.hosting import main
 from mast_zenoh.metrics.estimates import LOCAL
 from mast_zenoh.node import Context, Node, OutsideTopics, Received
-from mast_zenoh.runtime.mesh.hosting import main
 from mast_zenoh.tracking.kalman import predicted
 
 #: Frames that wait for their answer, at most.

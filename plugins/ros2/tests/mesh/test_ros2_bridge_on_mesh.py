@@ -14,10 +14,10 @@ from launched import MAST, Launched, alive, eventually
 from mast_ros2 import type_store
 from ros2_client import ForeignClient, expected_messages, ros2_router
 
+from mast_zenoh.mesh.security.authority import Authority
+from mast_zenoh.mesh.security.credentials import ROUTER
+from mast_zenoh.mesh.security.levels import router_settings
 from mast_zenoh.runs.recorded import open_recorded
-from mast_zenoh.security.authority import Authority
-from mast_zenoh.security.credentials import ROUTER
-from mast_zenoh.security.levels import router_settings
 
 pytestmark = pytest.mark.mesh
 

@@ -17,11 +17,11 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import Interrupted, NotRunning
 from mast_zenoh.launch import live_interception
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.replay import resolution as replay
+from mast_zenoh.launch.replay import resolution as replay
+from mast_zenoh.mesh.security.authority import Authority
+from mast_zenoh.mesh.security.levels import router_settings
+from mast_zenoh.mesh.session import open_router
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.runtime.mesh.session import open_router
-from mast_zenoh.security.authority import Authority
-from mast_zenoh.security.levels import router_settings
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 

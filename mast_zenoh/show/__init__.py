@@ -1,0 +1,21 @@
+"""What is seen of a run or of compared runs: pages, tables, figures, films, and files for other programs.
+
+See docs/report.md and docs/studies.md.
+
+comparison         the reference run of a comparison;  compare  the scores of several runs side by side
+run_figure         the base class of figures of a run, those of users included
+figures/           the pictures and charts of runs and of studies
+film/              films and stills of runs
+tables/            rows and cells, for every output
+findings/          what is worth saying of a run, as data, and the words;  narrative/  results of studies in words
+html               the pages, rendered from templates/;  page/  the part that plays runs in a browser
+terminal           results on the terminal
+export/            files of runs for other programs, by formats
+palette            all colours
+"""
+
+from __future__ import annotations
+
+from mast_zenoh.show.run_figure import FigureContext, RunFigure
+
+__all__ = ["FigureContext", "RunFigure"]

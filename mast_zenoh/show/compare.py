@@ -1,0 +1,103 @@
+"""Compares runs: their scores side by side, and the differences in words."""
+
+from __future__ import annotations
+
+import html
+import io
+
+import pyarrow
+from rich.console import Console, RenderableType
+
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.run_folder import reading
+from mast_zenoh.runs.run import Run
+from mast_zenoh.show import comparison
+from mast_zenoh.show.comparison import Reference
+from mast_zenoh.show.figures.plots import Plots, labelled
+from mast_zenoh.show.findings import outcome
+from mast_zenoh.show.findings.words import text
+from mast_zenoh.show.tables.scores import as_markdown, as_rich, score_table
+
+
+class Comparison:
+    """Runs of the same scene and seed, compared with the first; prints as a table."""
+
+    def __init__(self, runs: tuple[Run, ...]) -> None:
+        if len(runs) < 2:
+            raise ConfigurationError(f"compare: found {len(runs)} run, expected two or more")
+        for run in runs:
+            if not isinstance(run, Run):
+                raise ConfigurationError(f"compare: found {run!r}, expected a run; mast.open opens a folder as one")
+        self._folders = labelled(runs, {})
+        self._reference, *others = self._folders
+        first = self._folders[self._reference]
+        with reading(first.path):
+            for label in others:
+                comparison.reference(self._folders[label], first.path)
+            metrics = {label: run.files.summary for label, run in self._folders.items()}
+            counts = {label: run.files.counts for label, run in self._folders.items()}
+            agent = first.ego or "ego"
+            self._scores = score_table(metrics, counts=counts, agent=agent, reference=self._reference)
+
+    @property
+    def table(self) -> pyarrow.Table:
+        """A row per metric, run and estimate of the ego: mean, std (over frames), change.
+
+        The change is over the first run.
+        Counts are objects per frame, lengths (`…_m`) are in m; id_switches are of the whole run.
+        """
+        rows = [
+            {
+                "metric": row.measure.label,
+                "run": row.run,
+                "estimate": estimate,
+                "mean": cell.value.mean,
+                "std": cell.value.std,
+                "change": cell.change.mean,
+            }
+            for row in self._scores.rows
+            for estimate, cell in row.cells.items()
+        ]
+        text, number = pyarrow.string(), pyarrow.float64()
+        types = {"metric": text, "run": text, "estimate": text, "mean": number, "std": number, "change": number}
+        return pyarrow.Table.from_pylist(rows, schema=pyarrow.schema(types))
+
+    @property
+    def headline(self) -> str:
+        """For each run the largest difference from the first, after what happened to driven cars, in a line."""
+        reference = Reference(self._folders[self._reference], self._reference)
+        others = [(label, run) for label, run in self._folders.items() if label != self._reference]
+        return "\n".join(f"{label}: {text(run, outcome(run, reference))}." for label, run in others)
+
+    @property
+    def plot(self) -> Plots:
+        """Figures of all the runs: `over_time("fp")`, `side_by_side(frame=64)`."""
+        return Plots(self._folders)
+
+    def markdown(self) -> str:
+        """The table as Markdown, with all metrics."""
+        return as_markdown(self._scores)
+
+    def __str__(self) -> str:
+        return f"{as_text(as_rich(self._scores))}\n{self.headline}"
+
+    def __repr__(self) -> str:
+        return f"<Comparison of {', '.join(self._folders)}; print it, or see .table, .headline, .plot>"
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
+
+
+def as_text(tables: RenderableType) -> str:
+    """Terminal tables as plain text."""
+    page = io.StringIO()
+    Console(file=page, width=100, color_system=None).print(tables)
+    return "\n".join(line.rstrip() for line in page.getvalue().splitlines())
+
+
+def compare(*runs: Run) -> Comparison:
+    """Compare runs with the first one, such as a baseline.
+
+    Raises NotComparable unless all played the same scene, seed and frames, and were scored in the same way.
+    """
+    return Comparison(runs)

@@ -1,0 +1,172 @@
+"""What one panel shows: an estimate of an agent in a run, frame by frame, with attacks and captions."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Mapping
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
+from mast_zenoh.metrics.estimates import TRUTH
+from mast_zenoh.runs import events
+from mast_zenoh.runs.driven import braking_events
+from mast_zenoh.runs.evaluated import Score
+from mast_zenoh.runs.events import spans
+from mast_zenoh.runs.files import rows
+from mast_zenoh.runs.frame import Frame, frame_at, has_boxes
+from mast_zenoh.runs.interposers import attacked_at, interposers
+from mast_zenoh.runs.run import Run
+from mast_zenoh.show.film.look import SHOWN
+
+#: What panels are titled.
+TITLES = {
+    "local": "own tracks",
+    "received": "own tracks, as received",
+    "picture": "the common picture",
+    "picture_received": "the picture as received",
+    "picture_on_arrival": "the picture on arrival",
+    "mission": "own tracks and picture",
+    TRUTH: "all objects of the scene",
+}
+
+
+class Take:
+    """An estimate of one agent of a run.
+
+    run: as seen by the agent;  estimate: one of SHOWN;  title: of the panel, with the name of a run of several
+    times: (f,) s, of the frames
+    Raises ConfigurationError for an estimate that the run does not have, RunFolderError for a run without boxes.
+    """
+
+    def __init__(self, run: Run, estimate: str, name: str = "") -> None:
+        if run.files.objects is None or not len(run.files.objects["frame"]):
+            reasons = " ".join(run.files.missing) or "objects.parquet holds no boxes of this agent."
+            raise RunFolderError(
+                f"{run.path}: nothing to draw: {reasons} `mast report {run.path}` measures a recorded run that has none"
+            )
+        known = [name for name in SHOWN if (name == TRUTH and run.files.scene is not None) or has_boxes(run, name)]
+        if estimate not in known:
+            raise ConfigurationError(f"{run.path}: no estimate {estimate!r} of {run.ego}{nearest(estimate, known)}")
+        frames = run.files.objects["frame"]
+        if run.files.sample.step > 1 and run.files.counts is not None:  # boxes of all frames are read later
+            frames = run.files.counts["frame"]
+        self.first, self.last = int(frames.min()), int(frames.max())
+        own = rows(run.files.objects, run.files.objects["estimator"] == run.original(estimate))
+        self.run, self.estimate = run.with_(objects=own), estimate
+        self.title = (f"{name}: " if name else "") + run.worded(TITLES[estimate])
+        self.times = run.times(np.arange(self.last + 1))
+        # A film asks for the frames again and again: to choose its window and colours, and to draw.
+        self.view = lru_cache(maxsize=4096)(self._view)
+
+    def seconds(self, frame: int) -> float:
+        """Time of a frame, s since the first."""
+        return float(self.times[min(frame, self.last)])
+
+    def frame_at(self, seconds: float) -> int:
+        """The frame at a time, or else the first or last."""
+        frame = int(np.searchsorted(self.times, seconds + self.run.period_s / 2, side="right")) - 1
+        return min(max(frame, self.first), self.last)
+
+    def ended(self, seconds: float) -> bool:
+        """Whether the run is over at a time."""
+        return seconds > float(self.times[-1]) + self.run.period_s / 2
+
+    def _view(self, frame: int) -> Frame:
+        """The boxes and manipulations of a frame."""
+        return frame_at(self.run.around(frame), frame, [self.estimate])
+
+    @cached_property
+    def attacks(self) -> Attacks:
+        """The attacks of the run."""
+        return Attacks(self.run)
+
+    @cached_property
+    def scores(self) -> dict[int, Score]:
+        """By frame."""
+        counts = self.run.counts_of(self.estimate) or self.run.counts_of(self.run.original(self.estimate))
+        return {frame: Score.of(counts, row) for row, frame in enumerate(counts["frame"].tolist())} if counts else {}
+
+
+#: s: an attack that changes nothing for so long is over.
+_PAUSE_S = 1.0
+#: Adversaries or agents that are named; more are counted.
+_NAMED = 2
+
+
+class Attacks:
+    """The attacks of a run.
+
+    spans: first frame and the frame after the last of each period with changes by adversaries
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._effects = run.manipulations
+        frames = np.unique([] if self._effects is None else self._effects["frame"])
+        parts = np.split(frames, np.flatnonzero(np.diff(frames) * run.period_s > _PAUSE_S) + 1)
+        self.spans = [(int(part[0]), int(part[-1]) + 1) for part in parts if len(part)]
+        self._interposers = interposers(run)
+
+    def on(self, frame: int) -> bool:
+        """Whether an attack is on in a frame."""
+        return any(start <= frame < end for start, end in self.spans)
+
+    @property
+    def possible(self) -> bool:
+        """Whether any adversary is ever on a wire."""
+        return not all(each.is_link for each in self._interposers)
+
+    def sentence(self, frame: int) -> str:
+        """What is done in a frame, in words."""
+        if self._effects is None:
+            return "attacks were not measured" if self.possible else "no attack"
+        if not self.on(frame):
+            waiting = sorted(attacked_at(self._interposers, frame))
+            return f"no attack; adversary on the wires of {_names(waiting, 'agents')}" if waiting else "no attack"
+        here = rows(self._effects, self._effects["frame"] == frame)
+        changes = Counter(here["effect"].astype(str).tolist())
+        names = sorted(set(here["interposer"].astype(str).tolist()))
+        what = ", ".join(f"{count} {effect}" for effect, count in sorted(changes.items()))
+        return f"attack by {_names(names, 'adversaries')}: {what}" if names else "attack: nothing changed in this frame"
+
+
+def _names(names: list[str], noun: str) -> str:
+    return ", ".join(names) if len(names) <= _NAMED else f"{len(names)} {noun}"
+
+
+class Captions:
+    """The caption of every frame of a film.
+
+    takes: one for each run
+    own:   the user's captions by frame, each in place of the run's of this frame alone
+    """
+
+    def __init__(self, takes: list[Take], own: Mapping[int, str]) -> None:
+        texts: dict[int, list[str]] = {}
+        for take in takes:
+            label = f" ({take.run.name})" if len(takes) > 1 else ""
+            for frame, text in caption_events(take):
+                shown = takes[0].frame_at(take.seconds(frame))
+                texts.setdefault(shown, []).append(text + label)
+        merged = {frame: "; ".join(dict.fromkeys(each)) for frame, each in texts.items()} | dict(own)
+        self._frames = sorted(merged)
+        self._texts = [f"frame {frame}: {merged[frame]}" for frame in self._frames]
+
+    def at(self, frame: int) -> str:
+        """The newest caption up to a frame; empty: nothing has happened."""
+        place = bisect_right(self._frames, frame)
+        return self._texts[place - 1] if place else ""
+
+
+def caption_events(take: Take) -> list[tuple[int, str]]:
+    """(frame, words) of interceptions, attacks, faults, absences, states of trust and brakes, the earliest first."""
+    # A caption is one line: it has no room for the reasons.
+    periods = [
+        period | {"begins": period["label"]} if period["kind"] == "undecided" else period
+        for period in spans(take.run, take.times)
+    ]
+    happened = events.happenings(take.run, periods, take.times) + braking_events(take.run, take.times, reasons=False)
+    happened.sort(key=lambda each: (each.frame, each.kind != "interception", each.text))
+    return [(max(each.frame, take.first), each.text) for each in happened if each.frame <= take.last]

@@ -1,0 +1,98 @@
+"""What is worth saying about a run: findings, from its measurements, in one order; `words` says them.
+
+finding      what a finding is;  words  the sentences, from templates/phrases.j2; those of studies from study_phrases.j2
+results      how the run ended, the largest changes of its scores;  changes, causes, differences  what these are due to
+adversaries  what they did, and why it had limited effect
+cars         what happened to driven cars;  defence  what a defence did, and the agents' own pictures
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+
+from mast_zenoh.metrics.estimates import PICTURE
+from mast_zenoh.run_folder import finite, write_json
+from mast_zenoh.runs.run import Run
+from mast_zenoh.show.comparison import Reference, of_errors
+from mast_zenoh.show.findings import adversaries, cars, defence, results
+from mast_zenoh.show.findings.changes import largest_change
+from mast_zenoh.show.findings.finding import Finding
+from mast_zenoh.show.findings.words import names, said, text
+
+
+def findings(run: Run, reference: Reference | None = None) -> list[Finding]:
+    """Everything that is worth saying about a run, in the order in which it is said.
+
+    First how it ended, then what happened to cars, what changed and why, what the adversaries did, and the defence.
+
+    reference: the run that it is compared with, such as its unattacked twin; None: by its own measurements
+    """
+    failed = results.status(run)
+    return [
+        *(failed or outcome(run, reference)),
+        *details(run, reference),
+        *cars.of_cars(run, reference),
+        *adversaries.attacks(run),
+        *adversaries.limits(run, reference),
+        *defence.of_defence(run),
+        *defence.periods(run),
+        *defence.of_pictures(run),
+    ]
+
+
+def write(run: Run, reference: Reference | None = None) -> None:
+    """Write `findings.json` into a run's folder: each finding's fields, and `text`, how the page says it."""
+    every = [asdict(each) | {"text": " ".join(said(run, [each]))} for each in findings(run, reference)]
+    write_json(run.path / "findings.json", finite(every))
+
+
+def headline(run: Run, reference: Reference | None = None) -> str:
+    """How a run failed, or else its outcome, in sentences; the last one without a full stop."""
+    return text(run, results.status(run) or outcome(run, reference))
+
+
+def outcome(run: Run, reference: Reference | None = None) -> list[Finding]:
+    """What happened to driven cars, and the largest change and its cause; after the reference if that failed."""
+    lost = results.lost_in_real_time(run)
+    return [*results.unsound(reference), *lost, *cars.worst(run, reference), *results.of_scores(run, reference)]
+
+
+def details(run: Run, reference: Reference | None = None) -> list[Finding]:
+    """What the paragraph below the headline says: of a run that failed its outcome, then what else there is to say."""
+    over, told = of_errors(run, reference), outcome(run, reference)
+    failed = tuple(str(each["name"]) for each in run.files.checks.get("checks", ()) if not each["ok"])
+    every = [
+        *results.missed(run),
+        *results.other_changes(run, reference),
+        *results.during(run, over),
+        *results.braking(run),
+        *results.faults(run),
+        *[Finding("verdict", failed, "checks")] * bool(failed),
+    ]
+    return [*(told if results.status(run) else []), *[each for each in every if each not in told]]
+
+
+def of_compared(runs: Mapping[str, Run], reference: Reference) -> tuple[str, list[str]]:
+    """The outcome of the run that an attack or a fault harmed most, and sentences on each run, over the reference."""
+    others = {label: run for label, run in runs.items() if run is not reference.run}
+    sentences = {label: text(run, outcome(run, reference)) for label, run in others.items() if run.scores_of(PICTURE)}
+    harm = {label: _harm(others[label], reference) for label in sentences}
+    worst = max(harm, key=lambda label: harm[label], default="")
+    title = f"{worst}: {sentences[worst]}" if worst and any(harm[worst]) else f"{len(runs)} runs compared"
+    if failed := [label for label, run in runs.items() if results.status(run)]:
+        title = f"{names(failed)} did not end well: the numbers may be wrong"
+    first = [f"{reference.name}: {each}." for each in said(reference.run, results.missed(reference.run))]
+    for label, sentence in sentences.items():
+        lasts = text(others[label], results.during(others[label], of_errors(others[label], reference)))
+        first.append(f"{label}: {'. '.join(filter(None, [sentence, lasts]))}.")
+    return title, first
+
+
+def _harm(run: Run, reference: Reference) -> tuple[float, ...]:
+    """Collisions, needless brakes, m of way that are lost, and the weight of the largest change."""
+    counts, over = cars.worst(run, reference), of_errors(run, reference)
+    events = [sum(each.value or 0.0 for each in counts if each.what == what) for what in ("hits", "needless")]
+    lost_m = sum((each.other or 0.0) - (each.value or 0.0) for each in counts if each.what == "way")
+    change = None if over is None else largest_change(run, over)
+    return (*events, lost_m, 0.0 if change is None else abs(change.weight))

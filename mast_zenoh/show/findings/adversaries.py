@@ -1,0 +1,302 @@
+"""What adversaries did in a run, and why some of it had limited effect: from measurements and the scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Bools
+from mast_zenoh.metrics.achievement import DISPLACED_M
+from mast_zenoh.metrics.boxes import Places, nearest, occurs
+from mast_zenoh.metrics.estimates import LOCAL, PICTURE
+from mast_zenoh.metrics.study_results import plural
+from mast_zenoh.runs.files import Table, are_in, column, rows
+from mast_zenoh.runs.interposers import BAD, OF_OBJECTS, WITH_COLUMN, Interposer, hostile, interposers
+from mast_zenoh.runs.run import Run
+from mast_zenoh.show.comparison import Reference, of_errors
+from mast_zenoh.show.findings.causes import culprit_names, matters, reaches
+from mast_zenoh.show.findings.changes import DISPLACED, FALSE, IDENTITY, MISSED, largest_change, scored
+from mast_zenoh.show.findings.finding import Finding
+from mast_zenoh.wiring.model import peer_of
+
+#: Agents that are named as senders; more are counted.
+_MOST_SENDERS = 2
+#: Effects that need other words.
+_WORDS = {"reframed": "changed outside their objects"}
+#: Lidar points with which an agent detects an object, as in `seen_by_others` of targets.parquet.
+_MIN_POINTS = 5
+
+
+def positions(run: Run) -> list[Finding]:
+    """Where the adversaries are, and whether they changed anything; none if the run has none."""
+    adversaries, what = hostile(run), "compromised"
+    who = tuple(each.name for each in adversaries)
+    if not any(each.changed for each in adversaries):
+        late = all(late_start_s(run, each) is not None for each in adversaries)
+        unmeasured = any(each.effects is None for each in adversaries)
+        what = "unmeasured" if unmeasured else "late" if late else "idle"
+    acting = [each for each in adversaries if what != "compromised" or each.changed or each.effects is None]
+    places = _places(run, acting)
+    return [Finding("adversaries", who, what, where=" and ".join(places))] if places else []
+
+
+def _places(run: Run, adversaries: Sequence[Interposer]) -> list[str]:
+    """`2 of 4 roadside sensors`, `the path from infra_1 to mobile_1`, `the wire cc/picture`."""
+    kinds = {agent.name: agent.kind for agent in run.files.scene.agents} if run.files.scene else {}
+    compromised = {agent for each in adversaries if not each.before for agent in each.agents}
+    names = set(kinds) or {*run.files.summary.get("agents", {}), *compromised}
+    places = []
+    for kind, noun in (("static", "roadside sensor"), ("mobile", "vehicle")):
+        group = {each for each in names if kinds.get(each, "static" if each.startswith("infra") else "mobile") == kind}
+        if number := len(group & compromised):
+            places.append(f"{number} of {plural(len(group), noun)}")
+    for before in dict.fromkeys(before for each in adversaries for before in each.before):
+        senders = {agent for each in adversaries if before in each.before for agent in each.agents}
+        source = plural(len(senders), "agent") if len(senders) > _MOST_SENDERS else " and ".join(sorted(senders))
+        places.append(f"the path from {source or 'the command centre'} to {_listeners(run, [before])}")
+    wires = [wire for each in adversaries if not each.agents and not each.before for wire in each.wires]
+    return places + [f"the wire {wire}" for wire in dict.fromkeys(wires)]
+
+
+def _listeners(run: Run, before: Sequence[str]) -> str:
+    """The agents whose copy of messages alone passes through an adversary; other subscribers by their names."""
+    agent_of_peer = {peer_of(agent): agent for agent in run.agents}
+    names = [agent_of_peer.get(each, each) for each in before]
+    return " and ".join("the ego" if name == run.ego == "ego" else name for name in names)
+
+
+def altered_on_the_way(run: Run) -> set[str]:
+    """The agents that do not lie, but whose messages adversaries change for single subscribers."""
+    at_source = {agent for each in hostile(run) if not each.before for agent in each.agents}
+    return {agent for each in hostile(run) if each.before for agent in each.agents} - at_source
+
+
+def attacks(run: Run) -> list[Finding]:
+    """What each adversary, and each link with a bad verdict, did, where and when, and who directed them."""
+    result = []
+    for each in interposers(run):
+        if each.is_link and each.verdict not in BAD:
+            continue
+        when = None
+        if run.manipulations is not None:
+            frames = run.manipulations["frame"][run.manipulations["interposer"] == each.name]
+            when = period(run, int(frames.min()), int(frames.max())) if len(frames) else None
+        did = ("not measured",) if each.effects is None else effects(each)
+        result.append(Finding("attack", (each.name,), each.description, each.changed, None, "", each.place, when, did))
+        if each.verdict in BAD:
+            result.append(Finding("verdict", (each.name,), each.verdict, each.failed_frames))
+    directors = tuple(name for name in run.files.record.get("nodes", {}) if run.role(name) == "coordinator")
+    if directors and len(hostile(run)) > 1:
+        result.append(Finding("verdict", directors, "directed"))
+    if not hostile(run) and (run.files.wiring or run.files.summary):
+        result.append(Finding("adversaries", what="none"))
+    return result
+
+
+def effects(interposer: Interposer) -> tuple[str, ...]:
+    """Measured effects: `478 rows of 6 objects inserted`, `8 messages dropped`, `110 views changed`."""
+    counts, parts = interposer.effects_besides_named, []
+    for effect in dict.fromkeys((*WITH_COLUMN, *counts)):
+        if not counts.get(effect) or effect == "unsettled":
+            continue
+        what, done = plural(counts[effect], "message"), _WORDS.get(effect, effect)
+        if effect in OF_OBJECTS:
+            number, clutter = interposer.objects.get(effect, (0, False))
+            kinds = [plural(number, "object")] * bool(number) + ["clutter"] * clutter
+            what = f"{plural(counts[effect], 'row')} of {' and of '.join(kinds) or 'objects'}"
+        parts.append(f"{what} {done}")
+    named = ((interposer.views, "view"), (interposer.commands, "command"))
+    return (*parts, *(f"{plural(number, noun)} changed" for number, noun in named if number)) or ("nothing",)
+
+
+def period(run: Run, first: int, last: int) -> tuple[float, float]:
+    """The times of two frames, s."""
+    start, end = run.times(np.array([first, last]))
+    return round(float(start), 3), round(float(end), 3)
+
+
+def limits(run: Run, reference: Reference | None = None) -> list[Finding]:
+    """Reasons for limited effects of adversaries on the picture or the ego, and for links on which nothing depends.
+
+    `what` is the kind of manipulation, unless the reason applies to everything that the adversary did; the reason is
+    `cause`. What causes the largest change, which the headline names, has none.
+    reference: the run that it is compared with; None: by the run's own measurements
+    """
+    over = of_errors(run, reference)
+    change = largest_change(run, over)
+    blamed = culprit_names(run, change, over) if change is not None else []
+    idle = [each for each in interposers(run) if each.is_link and each.changed and not matters(run, each.name)]
+    return [
+        reason
+        for each in (*hostile(run), *idle)
+        for reason in _reasons(run, each, change.kind if change is not None and each.name in blamed else "")
+    ]
+
+
+def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[Finding]:
+    """Reasons for limited effects of one interposer.
+
+    blamed_for: the kind of the largest change if this interposer causes it, else empty
+    """
+    limited = partial(Finding, "limited", (interposer.name,))
+    start, listeners = late_start_s(run, interposer), {*interposer.before}
+    estimates = run.files.summary.get("agents", {}).get(run.ego, (PICTURE,))
+    if interposer.effects is None:
+        yield limited(cause=("unmeasured",))
+    elif not interposer.changed and interposer.failures:
+        yield limited(where=interposer.failures, cause=("failed",))
+    elif not interposer.changed and start is not None and interposer.received:
+        yield limited(value=start, unit="s", cause=("late",))
+    elif not interposer.changed:
+        yield limited(value=interposer.received, cause=("idle",))
+    elif not matters(run, interposer.name):
+        yield limited(where=" and ".join(interposer.wires), cause=("no estimate",))
+    elif not blamed_for and not any(reaches(run, interposer.name, estimate) for estimate in estimates):
+        yield limited(where=" and ".join(interposer.wires), cause=("not the ego",))
+    elif (listeners and not listeners & {run.ego, peer_of(str(run.ego))}) and not (
+        blamed_for and reaches(run, interposer.name, PICTURE)  # what another agent heard reached the ego
+    ):
+        yield limited(where=_listeners(run, interposer.before), cause=("elsewhere",))
+    elif run.files.targets is not None:
+        own = run.files.targets["adversary"] == interposer.name
+        targets = rows(run.files.targets, own & are_in(run.files.sample, run.files.targets["frame"]))
+        if len(targets["frame"]):
+            yield from _reasons_of_targets(run, interposer, targets, blamed_for)
+        elif not blamed_for and not interposer.commands:  # what commands do is not in errors
+            yield limited(where=", ".join(effects(interposer)), cause=("no object",))
+
+
+#: The kinds of manipulations with a common reason, and the errors that they cause.
+_CONSEQUENCES = {("inserted",): (FALSE,), ("removed",): (MISSED,), ("moved", "altered"): (DISPLACED, IDENTITY)}
+
+
+def _reasons_of_targets(run: Run, interposer: Interposer, targets: Table, blamed_for: str) -> Iterator[Finding]:
+    """Reasons for limited effects on the objects that an interposer manipulated."""
+    achieved, who = run.files.summary.get("achieved", {}).get(interposer.name, {}), (interposer.name,)
+    if not scored(run, targets["frame"]).any():
+        yield Finding("limited", who, cause=("unscored",))
+    for (kinds, consequences), explain in zip(_CONSEQUENCES.items(), (_inserted, _removed, _moved), strict=True):
+        group = rows(targets, np.isin(targets["kind"], kinds))
+        did_more = any(n for name, n in (interposer.effects or {}).items() if name not in (*kinds, "unsettled"))
+        if not len(group["frame"]) or blamed_for in consequences or (blamed_for and not did_more):
+            continue
+        if (reason := explain(run, group, achieved)) is not None:
+            what = " or ".join(kind for kind in kinds if np.any(group["kind"] == kind))
+            yield Finding("limited", who, what, reason[1], cause=(reason[0],))
+
+
+def late_start_s(run: Run, interposer: Interposer) -> float | None:
+    """s, start of an attack planned for after the end of the run; None: otherwise."""
+    attack = (run.node_spec(interposer.name).get("config") or {}).get("attack")
+    start = attack.get("start_s") if isinstance(attack, Mapping) else None
+    duration_s = float(run.files.summary.get("frames", 0) * run.period_s)
+    return float(start) if isinstance(start, (int, float)) and 0.0 < duration_s <= start else None
+
+
+def _inserted(run: Run, targets: Table, achieved: Mapping[str, Any]) -> tuple[str, float | None] | None:
+    """Why no tracks followed inserted objects, and the share of them for which it holds; None: tracks did."""
+    if achieved.get("inserted_share_centre"):
+        return ("not adopted", None) if achieved.get("inserted_share_ego") == 0.0 else None  # None: not measured
+    if achieved.get("inserted_share_ego"):
+        return None
+    on_real = _on_real_objects(run, targets)
+    if not _judged(targets).any():
+        return "not scored", None
+    return ("on real objects", on_real) if on_real >= 0.5 else ("rejected", None)
+
+
+def _removed(run: Run, targets: Table, achieved: Mapping[str, Any]) -> tuple[str, float | None] | None:
+    """Why objects in removed rows or dropped messages were not missed, and the share of them; None: they were."""
+    if achieved.get("hidden_share_centre") or achieved.get("hidden_share_ego"):
+        return None
+    known = targets["object"] >= 0
+    if not known.any() or not _judged(targets).any():
+        return "not scored", None
+    # Other agents' observations are in the picture; from a picture in transit to the ego, the object is gone.
+    downlink = _only_downlink(run, targets)
+    seen = float((_seen_by_ego if downlink else _seen_by_others)(run, targets)[known].mean())
+    if seen >= 0.5:
+        return "seen by the ego" if downlink else "seen by others", seen
+    return "tracked", achieved.get("hidden_time_share_ego" if downlink else "hidden_time_share_centre") or 0.0
+
+
+def _moved(run: Run, targets: Table, achieved: Mapping[str, Any]) -> tuple[str, float | None] | None:
+    """Why objects are not displaced, and by how much, m; None: they are. Identity switches count as effects."""
+    effects = "moved_share", "altered_share", "id_switches"
+    if any(achieved.get(f"{effect}_{viewer}") for effect in effects for viewer in ("centre", "ego")):
+        return None
+    present = [kind for kind in ("moved", "altered") if np.any(targets["kind"] == kind)]
+    errors = [achieved.get(f"{kind}_error_m_{viewer}") for kind in present for viewer in ("centre", "ego")]
+    largest = max((error for error in errors if error is not None), default=None)
+    if largest is None:
+        return "not scored", None
+    return ("too little", largest) if largest < DISPLACED_M else None
+
+
+def _only_downlink(run: Run, targets: Table) -> bool:
+    """Whether an adversary changed only pictures in transit."""
+    if run.manipulations is None or not len(targets["frame"]):
+        return False
+    own_effects = run.manipulations["interposer"] == targets["adversary"][0]
+    return bool(np.all(run.manipulations["message"][own_effects] == "picture"))
+
+
+def _judged(targets: Table) -> Bools:
+    """(n,) bool: targets that are in range and evaluated in any estimate."""
+    return np.asarray(targets["judged_centre"].astype(bool) | targets["judged_ego"].astype(bool))
+
+
+def _seen_by_others(run: Run, targets: Table) -> Bools:
+    """(n,) bool: targets seen by an agent whose report of them no adversary changes in that frame.
+
+    `seen_by_others` excludes the agents of one adversary; this also excludes those of other adversaries that
+    change the same object. Without the scene, an object changed by several adversaries counts as not seen.
+    """
+    seen, table = np.array(targets["seen_by_others"], bool), run.files.targets
+    assert table is not None
+    real = rows(table, (table["kind"] != "inserted") & are_in(run.files.sample, table["frame"]))
+    agents = {each.name: each.agents for each in interposers(run)}
+    changed_by: dict[tuple[int, int], set[str]] = {}
+    for name, number, frame in zip(real["adversary"], real["object"].tolist(), real["frame"].tolist(), strict=True):
+        changed_by.setdefault((number, frame), set()).add(name)
+    for row, key in enumerate(zip(targets["object"].tolist(), targets["frame"].tolist(), strict=True)):
+        if seen[row] and len(changed_by[key]) > 1:
+            seen[row] = _sees(run, *key, {agent for name in changed_by[key] for agent in agents.get(name, ())})
+    return seen
+
+
+def _sees(run: Run, number: int, frame: int, excluded: set[str]) -> bool:
+    """Whether an agent not in `excluded` sees an object in a frame of the scene."""
+    scene = run.files.scene
+    if scene is None or not 0 <= frame < len(scene):
+        return False
+    columns = [index for index, agent in enumerate(scene.agent_names) if agent not in excluded]
+    rows_of_object = int(scene.truth_start[frame]) + np.flatnonzero(scene.truth_at(frame).id == number)
+    return bool((scene.points[rows_of_object][:, columns] >= _MIN_POINTS).any())
+
+
+def _seen_by_ego(run: Run, targets: Table) -> Bools:
+    """(n,) bool: targets matched by one of the ego's own tracks in their frame."""
+    objects = run.files.objects
+    if objects is None:
+        return np.zeros(len(targets["frame"]), bool)
+    own = (objects["estimator"] == run.original(LOCAL)) & (objects["kind"] == "truth")
+    own &= objects["outcome"] == "matched"
+    return occurs((targets["object"], targets["frame"]), (objects["id"][own], objects["frame"][own]))
+
+
+def _on_real_objects(run: Run, targets: Table) -> float:
+    """The share of targets within the gate of a true object; 0: no truth."""
+    objects = run.files.objects
+    if objects is None:
+        return 0.0
+    truth = rows(objects, (objects["kind"] == "truth") & (objects["estimator"] == PICTURE))
+    return float((nearest(_places_of(targets), _places_of(truth), run.gate_m)[0] >= 0).mean())
+
+
+def _places_of(table: Table) -> Places:
+    level = np.zeros(len(table["frame"]))
+    return Places(table["frame"], np.stack([column(table, "x"), column(table, "y"), level], axis=1))

@@ -1,0 +1,268 @@
+"""The result of a study in words, with comparisons corrected for multiple testing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE
+from mast_zenoh.metrics.measures import COLUMNS
+from mast_zenoh.metrics.significance import clearest, holm
+from mast_zenoh.metrics.study_results import (
+    LEVEL,
+    Statistic,
+    StudyFacts,
+    StudyRow,
+    StudySeries,
+    plural,
+)
+from mast_zenoh.show.findings.words import of_study
+from mast_zenoh.show.tables.study_rows import (
+    ADDED,
+    ALL_SCORES,
+    DRIVEN,
+    ESTIMATORS,
+    PAPER,
+    StudyColumn,
+    columns_of,
+    unchanged,
+    value,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Comparisons:
+    """The contrasts with the baseline that are tested in the tables.
+
+    adjusted: by configuration and series, the p-value adjusted by Holm's procedure
+    clearest: those that remain distinguishable from 0, the clearest first
+    others:   number of other tested contrasts in table.csv, which are not counted
+    """
+
+    adjusted: Mapping[tuple[str, StudySeries], float]
+    clearest: Sequence[tuple[str, StudySeries]]
+    others: int
+
+    @property
+    def count(self) -> int:
+        """The number of contrasts."""
+        return len(self.adjusted)
+
+    @property
+    def bonferroni(self) -> float:
+        """Bonferroni level of each interval for a joint level of LEVEL."""
+        return LEVEL / max(self.count, 1)
+
+    def remains(self, row: StudyRow, column: StudyColumn) -> bool:
+        """Whether the difference is distinguishable from 0 after Holm's procedure."""
+        series = StudySeries(column.owner or row.ego, column.estimator, column.metric)
+        return self.adjusted.get((row.label, series), 1.0) <= LEVEL
+
+    def remaining(self) -> int:
+        """The number of contrasts that remain distinguishable from 0."""
+        return sum(p <= LEVEL for p in self.adjusted.values())
+
+
+def compare(rows: Sequence[StudyRow], baseline: str) -> Comparisons:
+    """The contrasts with a p-value in the tables of increments, each counted once."""
+    tested = {
+        (row.label, series): estimate
+        for row in rows
+        if row.label != baseline
+        for series, estimate in row.estimates.items()
+        if not math.isnan(estimate.p)
+    }
+    table_series = {(column.owner, column.estimator, column.metric) for column in columns_of(ADDED + PAPER)}
+    ego = {row.label: row.ego for row in rows}
+    counted = {
+        (label, series): estimate
+        for (label, series), estimate in tested.items()
+        if table_series & {(None if series.owner == ego[label] else series.owner, series.estimator, series.metric)}
+    }
+    priority = {estimator: rank for rank, estimator in enumerate(_PRIORITY)}  # of equally clear ones
+    counted = dict(sorted(counted.items(), key=lambda item: priority.get(item[0][1].estimator, len(priority))))
+    adjusted = dict(zip(counted, holm([each.p for each in counted.values()]), strict=True))
+    return Comparisons(adjusted, clearest(counted), len(tested) - len(counted))
+
+
+#: By metric: the name of what an attack changes, and the phrase for a change.
+_CHANGES = {
+    "fp_iob": ("false objects", "{size} {more} false objects a frame"),
+    "fn_iob": ("missed objects", "{size} {more} missed objects a frame"),
+    "id_switches_iob": ("identity switches", "{size} {more} identity switches a run"),
+    "rmse_m_iob": ("RMSE", "{size} m {more} RMSE"),
+    "length_error_m_iob": ("lengths", "{size} m {more} error in the lengths of matched objects"),
+    "width_error_m_iob": ("widths", "{size} m {more} error in the widths of matched objects"),
+    "heading_error_deg_iob": ("headings", "{size}\u00b0 {more} error in the headings of matched objects"),
+    "velocity_error_mps_iob": ("velocities", "{size} m/s {more} error in the velocities of matched objects"),
+}
+_COUNTED = ("fp_iob", "fn_iob", "id_switches_iob")
+#: The smallest change of other metrics that the headline reports, in their units.
+_LEAST = 0.01
+#: Estimates in order of priority: what the ego acts on comes first.
+_PRIORITY = (MISSION, PICTURE, LOCAL)
+
+_Change = tuple[StudyRow, StudyColumn]
+
+
+def titled(rows: Sequence[StudyRow], facts: StudyFacts) -> tuple[list[StudyRow], StudyFacts]:
+    """Copies whose configuration labels name each parameter."""
+    return [replace(row, label=row.title) for row in rows], facts.titled({row.label: row.title for row in rows})
+
+
+def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> str:
+    """The clearest change in a sentence, after one for each attack that never began."""
+    idle = [text for each in facts.idle for text in of_study("never_began", idle=each)]
+    attacked = _attacked(rows, facts)
+    return " ".join([*idle, *([_result(rows, attacked, comparisons)] if attacked or not idle else [])])
+
+
+def _attacked(rows: Sequence[StudyRow], facts: StudyFacts) -> list[StudyRow]:
+    """Configurations other than the baseline whose attack began in some trial."""
+    return [row for row in rows if row.label != facts.baseline and row.label not in facts.never_attacked]
+
+
+NO_CHANGE = "No configuration changes false or missed objects in any estimate of the ego"
+
+
+def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons: Comparisons) -> str:
+    headline = _headline(attacked, comparisons)
+    largest = _largest(attacked, ("fp_iob", "fn_iob"), None)
+    return of_study(
+        "result",
+        rows=rows,
+        attacked=attacked,
+        headline=headline and _sentence(headline),
+        largest=largest and _sentence(largest),
+        compared=largest and _compared(largest),
+        rare=largest and largest[1].of(largest[0]).mostly_zero,
+        known=_estimates_of(attacked, "fp_iob") or _estimates_of(attacked, "fn_iob"),
+        same=NO_CHANGE,
+        made=comparisons,
+    )[0]
+
+
+def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
+    """The largest change of each kind not in `result`, and the kinds without change."""
+    attacked = _attacked(rows, facts)
+    if not attacked:
+        return []
+    headline_change = _headline(attacked, comparisons)
+    sentences: list[str] = []
+    silent: dict[str, list[str]] = {phrase: [] for phrase in (_UNCHANGED, _RARE, _ALONE, _INDISTINCT, "")}
+    for metric, (name, _) in _CHANGES.items():
+        change = _largest(attacked, (metric,), comparisons)
+        if change is None:
+            silent[_silence(_estimates_of(attacked, metric), tested=bool(comparisons.count))].append(name)
+        elif change != headline_change:
+            sentences.append(f"{name[:1].upper()}{name[1:]}: {_sentence(change)}.")
+    sentences += [f"Not changed in any trial: {name}." for name, columns in ADDED if unchanged(attacked, columns)]
+    phrases = ((phrase.format(plural(comparisons.count, "comparison")), names) for phrase, names in silent.items())
+    return sentences + [f"{phrase}: {', '.join(names)}." for phrase, names in phrases if phrase and names]
+
+
+_UNCHANGED, _RARE = "Unchanged in all trials", "Changed in few trials, and therefore without interval"
+_ALONE = "Distinguishable from the baseline if read alone, not if all {} are read together"
+_INDISTINCT = "Not distinguishable from the baseline"
+
+
+def _silence(known: Sequence[Statistic], *, tested: bool) -> str:
+    """Why there is no change to name; "": that is not known."""
+    if tested and known and all(each.unchanged for each in known):
+        return _UNCHANGED
+    if any(each.mostly_zero and not each.unchanged for each in known):
+        return _RARE
+    if tested and any(each.seen for each in known):
+        return _ALONE
+    return _INDISTINCT if tested and any(not math.isnan(each.low) for each in known) else ""
+
+
+def _compared(change: _Change) -> str:
+    """The group of changes of which this one is the largest."""
+    names = "false or missed objects"
+    row, column = change
+    if column.estimator == MISSION and any(each.estimator == DRIVEN for each in row.estimates):
+        return f"{names} in the mission estimate"  # with a veto, its driver acts on something else
+    return f"{names} in {ESTIMATES[column.estimator].noun}"
+
+
+def _estimates_of(rows: Sequence[StudyRow], metric: str) -> list[Statistic]:
+    """All known estimates of a metric."""
+    estimates = [StudyColumn("", metric, estimator).of(row) for row in rows for estimator in _PRIORITY]
+    return [each for each in estimates if not math.isnan(each.value)]
+
+
+def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | None:
+    """The clearest change of the ego's estimates; without any, the largest that is the same in all seeds."""
+    by_label = {row.label: row for row in rows}
+    for label, (owner, estimator, metric) in comparisons.clearest:
+        row = by_label.get(label)
+        if row is not None and owner == row.ego and estimator in _PRIORITY and metric in _CHANGES:
+            change = row, StudyColumn("", metric, estimator)
+            if metric in _COUNTED or abs(change[1].of(row).value) >= _LEAST:
+                return change
+    for estimator in _PRIORITY:
+        columns = [StudyColumn("", metric, estimator) for metric in _COUNTED]
+        same = [(row, column) for row in rows for column in columns if column.of(row).certain]
+        if same:
+            return max(same, key=lambda change: abs(change[1].of(change[0]).value))
+    return None
+
+
+def _largest(rows: Sequence[StudyRow], metrics: Sequence[str], comparisons: Comparisons | None) -> _Change | None:
+    """The largest change in the first estimate that has any.
+
+    comparisons: if given, only significant changes; else all but those that are 0 in every trial
+    """
+    for estimator in _PRIORITY:
+        changes = [(row, StudyColumn("", metric, estimator)) for row in rows for metric in metrics]
+        known = [(row, column) for row, column in changes if not math.isnan(column.of(row).value)]
+        if comparisons:
+            known = [each for each in known if comparisons.remains(*each) or each[1].of(each[0]).certain]
+        else:
+            known = [each for each in known if not each[1].of(each[0]).is_zero]
+        if known:
+            return max(known, key=lambda change: abs(change[1].of(change[0]).value))
+    return None
+
+
+def _sentence(change: _Change) -> str:
+    """`in attacked-3 the picture has 6.10 more false objects a frame [5.20, 7.00] …`."""
+    row, column = change
+    estimate = column.of(row)
+    sign = 1.0 if estimate.value >= 0.0 else -1.0
+    ends = sorted((sign * estimate.low, sign * estimate.high))
+    positive = estimate._replace(value=sign * estimate.value, low=ends[0], high=ends[1])
+    more = "more" if sign > 0 else "fewer" if column.metric in _COUNTED else "less"
+    text = _CHANGES[column.metric][1].format(size=value(positive), more=more)
+    subject = ESTIMATES[column.estimator].subject
+    return of_study("changed_in", label=row.label, subject=subject, text=text, each=estimate, positive=positive)[0]
+
+
+def comparisons_made(comparisons: Comparisons) -> str:
+    """Number of comparisons, its effect on each interval, and the meaning of the mark."""
+    return of_study("comparisons", made=comparisons, level=LEVEL)[0]
+
+
+def is_of_user(row: StudyRow, series: StudySeries) -> bool:
+    """Whether a series is a user's metric of one of the ego's main estimates."""
+    metric, ego = series.metric, series.owner == row.ego and series.estimator in ESTIMATORS
+    return ego and metric.isidentifier() and metric not in COLUMNS and not metric.endswith(("_iob", "_ioe"))
+
+
+def reservations(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:
+    """Caveats: differences not due to attacks alone, and numbers based on fewer seeds."""
+    names = {(column.estimator, column.metric): column.heading for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
+    left_out: dict[str, dict[int, list[str]]] = {}
+    for row in rows:
+        by_count = left_out.setdefault(row.label, {})
+        for series, estimate in row.estimates.items():
+            own = is_of_user(row, series)
+            if own or (series.estimator, series.metric) in names:
+                name = series.metric if own else names[series.estimator, series.metric]
+                where = ESTIMATORS.get(series.estimator, series.estimator)
+                change = "change of " if series.metric.endswith("_iob") and "IoB" not in name else ""
+                count = estimate.seeds_left_out(len(facts.seeds))
+                by_count.setdefault(count, []).append(f"{change}{name} ({where})")
+    return of_study("reservations", facts=facts, rows=left_out)

@@ -1,0 +1,387 @@
+"""The tables of a study, shared by terminal, Markdown, LaTeX, CSV and HTML."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+from rich.console import Group
+from rich.text import Text
+
+from mast_zenoh.metrics import CAUSES
+from mast_zenoh.metrics.measures import COLUMNS
+from mast_zenoh.metrics.study_results import Statistic, StudyFacts, StudyRow, StudySeries, shares
+from mast_zenoh.show.findings.words import paragraph
+from mast_zenoh.show.narrative.study import (
+    Comparisons,
+    compare,
+    comparisons_made,
+    other_changes,
+    reservations,
+    result,
+    titled,
+)
+from mast_zenoh.show.tables.study_rows import (
+    ACHIEVED,
+    ADDED,
+    ALL_SCORES,
+    COOPERATION,
+    DEFENCE,
+    ESTIMATORS,
+    MOSTLY_ZERO,
+    PAPER,
+    SCORES,
+    Groups,
+    StudyColumn,
+    attacks_differ,
+    bounds,
+    columns_of,
+    over_frames,
+    over_trials,
+    present,
+    unchanged,
+    value,
+)
+from mast_zenoh.show.tables.text_table import DASH, TextTable, csv_text, digits, number, wrapped
+
+_ALL = "all"
+_WRONG = {"fp": "false objects", "fn": "missed objects"}
+_PAIRED = "Difference from the baseline of the same scene and seed; mean and 95 % interval over seeds of these scenes."
+
+
+def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) -> list[TextTable]:
+    """All non-empty tables of a study."""
+    attacked = [row for row in rows if row.label != baseline]
+    title = difference_title(rows, baseline)
+    defended, apart = (
+        [row for row in rows if any(series.estimator in names for series in row.estimates)]
+        for names in (("defence",), ("pictures", "channel"))
+    )
+    tables = [_paper(title, attacked, comparisons), *_added(title, attacked, comparisons)]
+    tables += [
+        _table(
+            f"{title}, to other scenes: {group[0]}", _TO_OTHER_SCENES, (group,), attacked, _to_scenes, terminal=False
+        )
+        for group in ADDED
+        if any(not math.isnan(column.of(row).scenes_low) for row in attacked for column in group[1])
+    ]
+    tables += [_table(f"Scores: {group[0]}", _SCORED, (group,), rows, _cell_of, brief=True) for group in ALL_SCORES]
+    tables += [*_achieved(attacked), _table("What the defence did", paragraph("defended"), DEFENCE, defended, _cell_of)]
+    tables += [
+        _table("Pictures and radio channel", paragraph("pictures_and_channel"), COOPERATION, apart, _cell_of),
+        _others(rows),
+    ]
+    tables += [_causes(rows, estimator, outcome) for estimator in ("picture", "mission") for outcome in _WRONG]
+    return [table for table in tables if table.lines and len(table.headings) > 1]
+
+
+_TO_OTHER_SCENES = "The same means, with the 95 % interval to other scenes drawn like these, and other seeds."
+_SCORED = "FN, FP, TP: objects per frame missed, false and matched. Mean and 95 % interval over seeds."
+
+
+def difference_title(rows: Sequence[StudyRow], baseline: str) -> str:
+    """How the titles of tables of differences from the baseline begin."""
+    return "What the attack adds" if attacks_differ(rows, baseline) else "Difference from the baseline"
+
+
+def side_by_side(rows: Sequence[StudyRow]) -> TextTable:
+    """The scores of all estimates in one table, a group of columns for each."""
+    return _table("", "", SCORES, rows, _cell_of)
+
+
+def _paper(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> TextTable:
+    caption = paragraph("paper_increments")
+
+    def cell(row: StudyRow, column: StudyColumn) -> str:
+        estimate = column.of(row)
+        same = number(estimate.value) in (number(estimate.mean), DASH)
+        below = bounds(estimate) if same else over_trials(estimate)
+        return _cell(over_frames(estimate), below, marked=comparisons.remains(row, column))
+
+    return _table(f"{title}, in the paper's columns", caption, PAPER, rows, cell)
+
+
+def _added(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> list[TextTable]:
+    """A table per estimate that differs; the terminal shows the ego's."""
+    return [
+        _table(
+            *(f"{title}: {group[0]}", _PAIRED, (group,), rows),
+            lambda row, column: _over_trials(column.of(row), marked=comparisons.remains(row, column)),
+            terminal=estimator != "picture",
+        )
+        for estimator, group in zip(ESTIMATORS, ADDED, strict=True)
+        if not unchanged(rows, group[1])
+    ]
+
+
+def _achieved(rows: Sequence[StudyRow]) -> list[TextTable]:
+    """Achievements of all adversaries together, and of each one."""
+    series = list(dict.fromkeys(each for row in rows for each in row.estimates if each.estimator == ACHIEVED))
+    names = list(dict.fromkeys(each.metric for each in series))
+    all_adversaries = [each.owner for each in series if each.owner == _ALL][:1]
+    single_adversaries = list(dict.fromkeys(each.owner for each in series if each.owner != _ALL))
+    caption = "Mean over trials, or success rate of yes-or-no values; 95 % interval over seeds of these scenes."
+    headings = ["", *(name.replace("_", " ") for name in names)]
+    tables = []
+    for title, group in (
+        ("What the attack achieved", all_adversaries),
+        ("What each adversary achieved", single_adversaries),
+    ):
+        lines = [
+            [row.label if owner == _ALL else f"{row.label}: {owner}", *cells]
+            for row in rows
+            for owner in group
+            if {*(cells := [_over_trials(row.get(name, ACHIEVED, owner)) for name in names])} != {DASH}
+        ]
+        terminal = group is all_adversaries or not all_adversaries
+        tables.append(TextTable(title, caption, headings, lines, 1, terminal=terminal))
+    return tables
+
+
+def _others(rows: Sequence[StudyRow]) -> TextTable:
+    """Other numbers of the ego, such as user-defined metrics, a line each."""
+    table_series = {(column.estimator, column.metric) for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
+    series = [
+        each
+        for each in dict.fromkeys(each for row in rows for each in row.estimates)
+        if each.owner == rows[0].ego and (each.estimator, each.metric) not in table_series and " " not in each.metric
+    ]
+
+    units = _units(rows)
+
+    def cells(each: StudySeries) -> list[str]:
+        return [_over_trials(row.estimates.get(each, Statistic())) for row in rows]
+
+    lines = [
+        [f"{each.estimator} {each.metric}{units.get(each.metric, '')}", *cells(each)]
+        for each in series
+        if not (
+            each.metric.endswith("_iob") and all(row.estimates[each].unchanged for row in rows if each in row.estimates)
+        )
+    ]
+    caption = paragraph("other_numbers")
+    if any(row.estimates[each].mostly_zero for row in rows for each in series if each in row.estimates):
+        caption = f"{caption} {MOSTLY_ZERO}"
+    headings = ["", *(row.label for row in rows)]
+    return TextTable("Other numbers of the ego", caption, headings, lines, 1, terminal=False)
+
+
+def _causes(rows: Sequence[StudyRow], estimator: str, outcome: str) -> TextTable:
+    """The causes that occur, with their shares."""
+    parts = {row.label: shares(row, outcome, estimator) for row in rows}
+    causes = [cause for cause in CAUSES if any(cause in row_shares for row_shares in parts.values())]
+    lines = [
+        [label, *(f"{100.0 * of_row[cause]:.1f} %" if cause in of_row else DASH for cause in causes)]
+        for label, of_row in parts.items()
+    ]
+    title = f"Causes of {_WRONG[outcome]}, share: {ESTIMATORS[estimator]}"
+    return TextTable(title, "", ["", *causes], lines, 1, terminal=estimator == "picture")
+
+
+def _over_trials(estimate: Statistic, *, marked: bool = False) -> str:
+    return _cell(value(estimate), bounds(estimate), marked=marked)
+
+
+def _cell_of(row: StudyRow, column: StudyColumn) -> str:
+    return _over_trials(column.of(row))
+
+
+def _to_scenes(row: StudyRow, column: StudyColumn) -> str:
+    """With the interval to other scenes."""
+    return _cell(value(column.of(row)), bounds(column.of(row), scenes=True))
+
+
+def _cell(text: str, below: str, *, marked: bool = False) -> str:
+    """A number, with a mark if it is distinguishable from 0, and the text below it."""
+    return f"{text}{'*' if marked else ''}\n{below}".rstrip("\n")
+
+
+def _table(
+    title: str,
+    caption: str,
+    groups: Groups,
+    rows: Iterable[StudyRow],
+    cell: Callable[[StudyRow, StudyColumn], str],
+    *,
+    terminal: bool = True,
+    brief: bool = False,
+) -> TextTable:
+    """A table with a line per configuration, without empty groups."""
+    rows = list(rows)
+    groups = present(rows, groups)
+    columns = columns_of(groups)
+    lines = [[row.label, *(cell(row, column) for column in columns)] for row in rows]
+    headings = ["", *(column.heading for column in columns)]
+    of_columns = ["", *(name for name, group_columns in groups for _ in group_columns)]
+    if any(column.of(row).mostly_zero for row in rows for column in columns):
+        caption = f"{caption} {MOSTLY_ZERO}"
+    return TextTable(
+        title, caption, headings, lines if groups else [], 1, groups=of_columns, terminal=terminal, brief=brief
+    )
+
+
+def as_rich(rows: Sequence[StudyRow], facts: StudyFacts) -> Group:
+    """Failures, the result in words, and tables for a terminal of 80 columns."""
+    comparisons = compare(rows, facts.baseline)
+    parts: list[Text | Group] = [Text("")]
+    if facts.failures:
+        parts.append(_wrapped(f"{facts.failures}.", "bold red"))
+    titled_rows, titled_facts = titled(rows, facts)
+    sentences = _sentences(titled_rows, titled_facts, compare(titled_rows, titled_facts.baseline))
+    parts += [_wrapped(sentence) for sentence in (*sentences, *_labels(rows))]
+    for table in sections(rows, facts.baseline, comparisons):
+        if table.terminal:
+            brief = table._replace(title=f"{table.title}, mean", about="") if table.brief else table
+            parts += [Text(""), brief.as_rich()]
+    return Group(*parts, Text(""), _wrapped(comparisons_made(comparisons)))
+
+
+def _labels(rows: Sequence[StudyRow]) -> list[str]:
+    """Explains the numbers in the labels of terminal tables."""
+    names = dict.fromkeys((row.run, *row.point) for row in rows if row.point)
+    return [f"Labels in tables: {'-'.join(parts)}." for parts in names]
+
+
+def _sentences(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
+    """The result in words, a paragraph each."""
+    first = [f"{facts.size}.", result(rows, facts, comparisons), *other_changes(rows, facts, comparisons)]
+    return [" ".join(first), *reservations(rows, facts)]
+
+
+def _wrapped(text: str, style: str = "") -> Text:
+    return Text(wrapped(text), style=style)
+
+
+def as_markdown(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
+    """All tables as Markdown, failed trials first; ends with a newline."""
+    rows, facts = titled(rows, facts)
+    comparisons = compare(rows, facts.baseline)
+    page = [f"# {facts.name}", ""]
+    if facts.failed:
+        cells = [[f.configuration, f.scene, str(f.seed), f.error, f"`{f.command}`"] for f in facts.failed]
+        failed = TextTable("", "", ["", "scene", "seed", "error", "run it alone"], cells, 5)
+        page += [f"## {facts.failures}", "", failed.markdown(), ""]
+    for sentence in (*_sentences(rows, facts, comparisons), comparisons_made(comparisons)):
+        page += [sentence, ""]
+    for table in sections(rows, facts.baseline, comparisons):
+        page += [f"## {table.title}", "", *([table.about, ""] if table.about else []), table.markdown(), ""]
+    return "\n".join(page)
+
+
+#: The numbers of an estimate in table.csv: heading and field.
+_NUMBERS = {"mean": "mean", "std_over_frames": "std", "mean_over_trials": "value"} | {
+    name: name for name in ("low", "high", "scenes_low", "scenes_high", "p", "zero_share", "zero_low", "zero_high")
+}
+
+_MARK = "* differs significantly from 0 after Holm's correction"
+
+
+def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
+    """A line per configuration and series, with all digits; unknown numbers are empty.
+
+    p_holm is p adjusted for all contrasts of the tables (`compare`), and empty for other series.
+    """
+    adjusted = compare(rows, facts.baseline).adjusted
+    parameters = list(dict.fromkeys(name for row in rows for name in row.point))
+    series_names = ("who", "estimator", "metric")
+    counts = ("scenes", "seeds", "seeds_left_out")
+    headings = ["configuration", *parameters, *series_names, *_NUMBERS, "p_holm", *counts]
+    lines = [
+        [
+            *(row.label, *(row.point.get(name, "") for name in parameters), *series),
+            *digits(
+                *(getattr(each, field) for field in _NUMBERS.values()), adjusted.get((row.label, series), math.nan)
+            ),
+            *(each.scenes, each.seeds, each.seeds_left_out(len(facts.seeds))),
+        ]
+        for row in rows
+        for series, each in row.estimates.items()
+    ]
+    return csv_text(headings, lines)
+
+
+def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
+    """LaTeX tabulars with intervals below: the paper's increments, then all metrics of each estimate."""
+    rows, facts = titled(rows, facts)
+    columns, comparisons = columns_of(PAPER), compare(rows, facts.baseline)
+    groups = " & ".join(rf"\multicolumn{{{len(columns_of_group)}}}{{c}}{{{name}}}" for name, columns_of_group in PAPER)
+    size = facts.size.replace("\u00d7", "x")
+    warning = MOSTLY_ZERO if any(column.of(row).mostly_zero for row in rows for column in columns) else ""
+    comments = ["mean and std over the frames of all trials; below, mean over seeds [95 % interval], paired", size]
+    lines = [
+        *(
+            f"% {comment}"
+            for comment in (r"needs \usepackage{booktabs}", *comments, _MARK, warning, facts.failures)
+            if comment
+        ),
+        *_tabular(
+            [rf" & {groups} \\", " & " + " & ".join(_short(column.heading) for column in columns) + r" \\"],
+            [row for row in rows if row.label != facts.baseline],
+            columns,
+            lambda row, column: "^{*}" if comparisons.remains(row, column) else "",
+        ),
+    ]
+    for name, scores in ALL_SCORES:
+        of_estimate = [*scores, *_of_users(rows, scores)]
+        if any(column.of(row).seeds for row in rows for column in of_estimate):
+            heading = " & " + " & ".join(_tex(column.heading) for column in of_estimate) + r" \\"
+            lines += ["", f"% {name}: all metrics", *_tabular([heading], rows, of_estimate, lambda row, column: "")]
+    return "\n".join([*lines, ""])
+
+
+def _tabular(
+    headings: Sequence[str],
+    rows: Sequence[StudyRow],
+    columns: Sequence[StudyColumn],
+    mark: Callable[[StudyRow, StudyColumn], str],
+) -> list[str]:
+    """The lines of a tabular with two lines for each row: over frames, and over trials."""
+    lines = [r"\begin{tabular}{l" + "r" * len(columns) + "}", r"\toprule", *headings, r"\midrule"]
+    for row in rows:
+        frame_cells = [_tex(over_frames(column.of(row))) + mark(row, column) for column in columns]
+        trial_cells = [_tex(over_trials(column.of(row))) for column in columns]
+        for label, texts in ((row.label, frame_cells), ("", trial_cells)):
+            lines.append(" & ".join([_tex(label), *(f"${text}$" for text in texts)]) + r" \\")
+    return [*lines, r"\bottomrule", r"\end{tabular}"]
+
+
+def _of_users(rows: Sequence[StudyRow], scores: Sequence[StudyColumn]) -> list[StudyColumn]:
+    """Columns of the metrics of an estimate that are not among its scores: the user's own."""
+    known, estimator = {column.metric for column in scores} | set(COLUMNS), scores[0].estimator
+    names = [
+        series.metric
+        for row in rows
+        for series, each in row.estimates.items()
+        if (series.owner, series.estimator) == (row.ego, estimator) and series.metric.isidentifier() and not each.rate
+    ]
+    own = [name for name in dict.fromkeys(names) if name not in known and not name.endswith("_iob")]
+    units = _units(rows)
+    return [StudyColumn(f"{name}{units.get(name, '')}", name, estimator) for name in own]
+
+
+def _units(rows: Sequence[StudyRow]) -> dict[str, str]:
+    """What follows the names of users' metrics: ` (objects)`."""
+    return {name: f" ({about['unit']})" for row in rows for name, about in row.own.items() if about.get("unit")}
+
+
+def _short(heading: str) -> str:
+    """A heading without its group's name ("IoE"); CA headings stay whole ("CAFN IoB")."""
+    kind, reference = heading.split()
+    return heading if kind.startswith("CA") else reference
+
+
+def _tex(text: str) -> str:
+    """Text escaped for LaTeX."""
+    for character, replacement in (
+        ("\u2212", "-"),
+        ("±", r"\pm"),
+        (DASH, r"\mbox{--}"),
+        ("all equal", r"\mbox{all equal}"),
+        ("(0 in ", r"(0 \mbox{ in } "),
+        ("_", r"\_"),
+        ("\u00b0", r"$^\circ$"),
+        ("%", r"\%"),
+        ("&", r"\&"),
+    ):
+        text = text.replace(character, replacement)
+    return text

@@ -1,0 +1,168 @@
+"""Data of a study's tables: a row per configuration, an estimate per series."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+from mast_zenoh.metrics.estimates import ESTIMATES, MAIN
+from mast_zenoh.metrics.measures import MEASURES
+from mast_zenoh.metrics.study_results import MIN_SEEDS, Statistic, StudyRow
+from mast_zenoh.show.tables.text_table import DASH, decimals_of, number, whole_percent
+
+#: The warning of a table with such an increment.
+MOSTLY_ZERO = (
+    'Warning: "(0 in N % [a, b])" marks a difference that is 0 in N % of the trials; a to b is the exact 95 % interval '
+    "of that share. The mean has no interval: it would be too narrow."
+)
+
+
+class StudyColumn(NamedTuple):
+    """One column of a table: heading and series; owner: None for the ego."""
+
+    heading: str
+    metric: str
+    estimator: str = "picture"
+    owner: str | None = None
+
+    def of(self, row: StudyRow) -> Statistic:
+        """The estimate that belongs in this column of a row."""
+        return row.get(self.metric, self.estimator, self.owner)
+
+
+#: Columns in groups with a name.
+Groups = tuple[tuple[str, tuple[StudyColumn, ...]], ...]
+
+#: The estimates of the ego that tables compare, and their names.
+ESTIMATORS = {name: ESTIMATES[name].subject.removeprefix("the ") for name in MAIN}
+
+_SCORES = ("fn", "fp", "tp", "rmse_m", "id_switches")
+_DISTANCES = ("ospa_m", "gospa_m", "completeness")
+_BOXES = ("length_error_m", "width_error_m", "heading_error_deg", "velocity_error_mps")
+
+
+def _of(estimator: str, metrics: Iterable[str], suffix: str = "") -> tuple[StudyColumn, ...]:
+    return tuple(StudyColumn(MEASURES[metric].short, metric + suffix, estimator) for metric in metrics)
+
+
+#: The scores of each estimate, and their increments over the baseline.
+SCORES: Groups = tuple((name, _of(estimator, _SCORES)) for estimator, name in ESTIMATORS.items())
+ALL_SCORES: Groups = tuple(
+    (name, _of(estimator, (*_SCORES, *_DISTANCES, *_BOXES, "iou_3d"))) for estimator, name in ESTIMATORS.items()
+)
+ADDED: Groups = tuple((name, _of(estimator, _SCORES + _BOXES, "_iob")) for estimator, name in ESTIMATORS.items())
+
+
+def _of_all(estimator: str, columns: Mapping[str, str], *, owner: str | None = "all") -> tuple[StudyColumn, ...]:
+    """Columns of metrics by heading, of all agents or adversaries together."""
+    return tuple(StudyColumn(heading, metric, estimator, owner) for heading, metric in columns.items())
+
+
+_COMPROMISED = (
+    ("local", "compromised agents", "CAFN IoB", "CAFP IoB"),
+    ("picture", "compromised agents, by the centre", "CAFN centre", "CAFP centre"),
+)
+#: The increments by their names in the paper.
+PAPER: Groups = (
+    *(
+        (name, _of_all(estimator, {fn: "cafn_iob", fp: "cafp_iob"}, owner="compromised"))
+        for estimator, name, fn, fp in _COMPROMISED
+    ),
+    *(
+        (f"ERCC {name}", _of_all("picture", {f"{name} IoB": f"{key}_iob", f"{name} IoE": f"{key}_ioe"}, owner=None))
+        for name, key in (("FN", "fn"), ("FP", "fp"), ("TP", "tp"))
+    ),
+)
+
+_DONE = {
+    "lying agents": "lying_agents",
+    "of these suspended": "lying_suspended",
+    "delay s": "delay_s",
+    "honest suspended": "honest_suspended",
+    "false alarms": "false_alarms",
+    "false withheld": "withheld_false",
+    "true withheld": "withheld_true",
+}
+#: What the command centre's defence did in a run.
+DEFENCE: Groups = (("defence", _of_all("defence", _DONE)),)
+
+_DECEIVED = {
+    "GOSPA between two m": "difference_gospa_m",
+    "deceived at a time": "deceived.share",
+    "deceived at most": "deceived.most",
+}
+_LOAD = {"busy": "busy_ratio", "frames a station sent in": "sent", "messages arrived": "arrived"}
+#: How far the pictures of agents differ and are deceived, and the load of the radio channel.
+COOPERATION: Groups = (
+    ("pictures of the agents", _of_all("pictures", _DECEIVED)),
+    ("radio channel", _of_all("channel", _LOAD)),
+)
+
+#: The estimator of what adversaries achieved.
+ACHIEVED = "achieved"
+#: The estimator of what happened to a driven car.
+DRIVEN = "driven"
+
+
+def attacks_differ(rows: Iterable[StudyRow], baseline: str) -> bool:
+    """Whether all configurations but the baseline have adversaries, so that differences are what attacks add."""
+    has_attack = {row.label: any(each.estimator == ACHIEVED for each in row.estimates) for row in rows if row.estimates}
+    return not has_attack.pop(baseline, False) and bool(has_attack) and all(has_attack.values())
+
+
+def columns_of(groups: Groups) -> list[StudyColumn]:
+    """All columns of the groups, one after the other."""
+    return [column for _, columns in groups for column in columns]
+
+
+def unchanged(rows: Iterable[StudyRow], columns: Sequence[StudyColumn]) -> bool:
+    """Whether all increments that are known are 0 in every trial."""
+    known = [each for row in rows for column in columns if not math.isnan((each := column.of(row)).value)]
+    return bool(known) and all(each.unchanged for each in known)
+
+
+def present(rows: Sequence[StudyRow], groups: Groups) -> Groups:
+    """The groups in which any row has a number."""
+    return tuple(
+        (name, columns)
+        for name, columns in groups
+        if any(not math.isnan(column.of(row).mean) for row in rows for column in columns)
+    )
+
+
+def over_frames(estimate: Statistic) -> str:
+    """`3.42 ± 1.20`."""
+    if math.isnan(estimate.mean):
+        return DASH
+    mean = number(estimate.mean)
+    return mean if math.isnan(estimate.std) else f"{mean} ± {number(estimate.std)}"
+
+
+def over_trials(estimate: Statistic) -> str:
+    """Mean and interval: `3.42 [3.10, 3.80]`, or the reason for none: `3.42 (n < 5)`.
+
+    Success rates are in per cent.
+    """
+    return f"{value(estimate)} {bounds(estimate)}".strip()
+
+
+def value(estimate: Statistic) -> str:
+    """The mean over trials alone: `3.42`, a success rate as `85 %`."""
+    mean = estimate.value
+    return f"{whole_percent(mean)} %" if estimate.rate and not math.isnan(mean) else number(mean, decimals_of(estimate))
+
+
+def bounds(estimate: Statistic, *, scenes: bool = False) -> str:
+    """`[3.10, 3.80]`, or why there is no interval; scenes: that to other scenes."""
+    low, high = (estimate.scenes_low, estimate.scenes_high) if scenes else (estimate.low, estimate.high)
+    if not math.isnan(low):
+        digits = decimals_of(estimate)
+        ends = (whole_percent(end) if estimate.rate else number(end, digits) for end in (low, high))
+        return f"[{', '.join(ends)}]"
+    if scenes or math.isnan(estimate.value):
+        return ""
+    if estimate.mostly_zero:
+        share, first, last = map(whole_percent, (estimate.zero_share, estimate.zero_low, estimate.zero_high))
+        return f"(0 in {share} % [{first}, {last}])"
+    return f"(n < {MIN_SEEDS})" if estimate.seeds < MIN_SEEDS else "(all equal)"
