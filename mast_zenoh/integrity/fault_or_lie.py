@@ -68,6 +68,9 @@ class FaultOrLie(Integrity):
     def bind(self, seed: int, name: str) -> None:
         self._stage.bind(seed, name)
 
+    def hear(self, listener: str, trusts: Mapping[str, Mapping[str, float]]) -> None:
+        self._stage.hear(listener, trusts)
+
     def facts(self) -> dict[str, Any]:
         return self._stage.facts()
 

@@ -147,3 +147,14 @@ def test_the_order_of_the_rows_does_not_matter_where_no_views_are_known() -> Non
 def test_faults_are_corrected_once() -> None:
     with pytest.raises(ValueError, match="stage: found FaultOrLie, expected another stage"):
         FaultOrLie(stage=FaultOrLie())
+
+
+def test_what_agents_say_about_whom_they_trust_reaches_the_stage_in_it() -> None:
+    heard = []
+
+    class Listening(NoIntegrity):
+        def hear(self, listener: str, trusts: object) -> None:
+            heard.append((listener, trusts))
+
+    FaultOrLie(stage=Listening()).hear("a", {"b": {"c": 0.2}})
+    assert heard == [("a", {"b": {"c": 0.2}})]
