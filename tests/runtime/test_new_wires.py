@@ -54,7 +54,7 @@ OF_TRACKS = """
 from mast_zenoh import scenario as scenarios
 
 
-def scenario(wires="fuse"):
+def scenario(wires="fuse", more=()):
     _, content = scenarios.load("peers", ["n_infrastructure=2", "n_mobile=0"])
     content["agents"] = {"*": content["agents"]["*"] | dict(file="my_agent.py")}
     attack = dict(type="UncoordinatedAttack", start_s=0.5, selection=dict(
@@ -63,7 +63,7 @@ def scenario(wires="fuse"):
         name="intents",
         adversaries=dict(liar=dict(type="Adversary", agent="infra_1", attack=attack)),
         links={"infra_2": dict(up=[dict(type="Loss", probability=0.5)])},
-        keyexpr=dict(map="testbed.toml", rewrites=["peers.toml", f"intents_{wires}.toml"]),
+        keyexpr=dict(map="testbed.toml", rewrites=["peers.toml", f"intents_{wires}.toml", *more]),
     )
 """
 OF_OFFERS = '''
@@ -201,6 +201,13 @@ def test_peers_only_hear_a_wire_that_is_not_for_fusion_and_no_estimate_depends_o
     assert reasons == [(("no estimate",), "agent/infra_1/intents")]
     counts = json.loads((run.path / "results" / "peer_ego" / "results.json").read_text())["radio"]
     assert counts["intents/infra_1"] == 25
+
+
+def test_of_an_adversary_on_two_wires_the_report_says_on_which_no_estimate_depends() -> None:
+    run = played("intents.py", wires="hear", more=("on_broadcast.toml",))
+    told = [each for each in limits(run) if each.who == ("liar",)]
+    assert [each.where for each in told if each.cause == ("no estimate",)] == ["agent/infra_1/intents"]
+    assert {cause for each in run.findings if each.kind == "change" for cause in each.cause} >= {"liar"}
 
 
 LOSSLESS = """

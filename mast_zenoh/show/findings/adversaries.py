@@ -17,7 +17,7 @@ from mast_zenoh.runs.files import Table, are_in, column, rows
 from mast_zenoh.runs.interposers import BAD, OF_OBJECTS, WITH_COLUMN, Interposer, hostile, interposers
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.comparison import Reference, of_errors
-from mast_zenoh.show.findings.causes import culprit_names, matters, reaches
+from mast_zenoh.show.findings.causes import changed_for_nothing, culprit_names, matters, reaches
 from mast_zenoh.show.findings.changes import DISPLACED, FALSE, IDENTITY, MISSED, largest_change, scored
 from mast_zenoh.show.findings.finding import Finding
 from mast_zenoh.wiring.model import peer_of
@@ -144,6 +144,9 @@ def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[Find
     limited = partial(Finding, "limited", (interposer.name,))
     start, listeners = late_start_s(run, interposer), {*interposer.before}
     estimates = run.files.summary.get("agents", {}).get(run.ego, (PICTURE,))
+    idle = changed_for_nothing(run, interposer.name)
+    if idle and matters(run, interposer.name):
+        yield limited(where=" and ".join(idle), cause=("no estimate",))
     if interposer.effects is None:
         yield limited(cause=("unmeasured",))
     elif not interposer.changed and interposer.failures:

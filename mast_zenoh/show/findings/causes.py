@@ -41,6 +41,17 @@ def matters(run: Run, node: str) -> bool:
     return not places or any(run.estimate_wires.matters(*place) for place in places)
 
 
+def changed_for_nothing(run: Run, node: str) -> list[str]:
+    """The wires on which a node changed messages, and no estimate depends on them there; those that are known."""
+    table = run.files.effects
+    if table is None:
+        return []
+    of_node = (table["interposer"] == node) & (table["effect"] != "unsettled")
+    changed = set(np.unique(table["wire"][of_node]).tolist())
+    used = {key for key, before in _places(run, node) if run.estimate_wires.matters(key, before)}
+    return [key for key in dict.fromkeys(key for key, _ in _places(run, node)) if key in changed - used]
+
+
 def _places(run: Run, node: str) -> list[tuple[str, str]]:
     """Where it ever was, live insertions included: the key of a wire, and the only subscriber before which it came."""
     places: list[tuple[str, str]] = []
