@@ -46,7 +46,7 @@ __all__ = [
 
 
 class Context(Protocol):
-    """A node's interface to the runtime.
+    """A node's interface to the runtime: what its handlers get is its `mesh.host.Host`.
 
     frame, time_ns: of the newest clock; -1 and 0 before the first
     subscriptions: its inputs, by key
