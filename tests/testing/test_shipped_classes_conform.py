@@ -18,7 +18,6 @@ from mast_zenoh import (
     integrity,
     links,
     metrics,
-    pipelines,
     scenario,
     scenes,
     sensing,
@@ -27,6 +26,7 @@ from mast_zenoh import (
 )
 from mast_zenoh.attacks import evasion, road_ahead
 from mast_zenoh.config import bundle, loading, plugins, registry
+from mast_zenoh.fusion import pipelines
 from mast_zenoh.testing import samples
 from mast_zenoh.testing.simulation import SimulatedWorld, explore
 
