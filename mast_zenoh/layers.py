@@ -13,7 +13,7 @@ LAYERS: dict[str, str] = {
     "study": "sweeps, Monte Carlo, statistics, tables; attacked_run: what attackers without a role can do",
     "testing": "checks for user-written classes, and fixtures for pytest; simulation/: whole runs in virtual time",
     "api": "runs as Python objects, and listings of classes, for notebooks and scripts",
-    "show": "what is seen of runs: page/ live, figures/ tables/ findings/ film/ templates/, export/ for other programs",
+    "show": "what is seen of a run: page/ figures/ tables/ findings/ film/ templates/; export/ for other programs",
     "runs": "a run, finished or going on: its tables and frames; live/",
     "deploy": "nodes in containers and on other hosts; engine: what compose and ssh/ share",
     "launch": "starts, watches, ends the processes of a run; launcher_protocol: its decisions; replay/ checks/ netns/",
