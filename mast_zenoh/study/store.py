@@ -229,7 +229,11 @@ class TableWriter:
 @contextmanager
 def table_writer(path: Path, schema: pyarrow.Schema) -> Iterator[TableWriter]:
     """Write a Parquet file: complete when the block ends, and as it was before if the block raises."""
-    with run_folder.replacing(path) as new, parquet.ParquetWriter(new, schema, compression="zstd") as file:
+    with (
+        run_folder.replacing(path) as new,
+        new.open("wb") as content,  # closed also where the writer cannot end, on a full disk
+        parquet.ParquetWriter(content, schema, compression="zstd") as file,
+    ):
         writer = TableWriter(file)
         yield writer
         writer.flush()

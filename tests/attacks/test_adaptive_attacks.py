@@ -283,5 +283,4 @@ def test_attackers_that_hear_picture_and_trust_play_the_whole_run(attack: str) -
     run = played(attack, "trust")
     assert not run.failures
     adversary = run.nodes["adversary_1"]
-    assert adversary.pictures.get(FRAMES) is not None
-    assert adversary.trusts.get(FRAMES) is not None
+    assert all(victim.heard.keys() == {"picture", "trust"} for victim in adversary.victims.values())
