@@ -97,8 +97,8 @@ def plan(
         impaired = [] if rules else [name for name in nodes if roles[name] == "agent"]
         affected: list[str] = []
         for number, rule in enumerate(rules):
-            of_rule = f"{place}.rule[{number}]" if isinstance(fault, Impair) else place
-            of_rule = of_rule.removesuffix("[0]") if len(rules) == 1 else of_rule
+            which = f"[{number}]" if len(rules) > 1 else ""
+            of_rule = f"{place}.rule{which}" if isinstance(fault, Impair) else place
             of_sensor = registry.build(rule, links.Rule, of_rule).needs_detections
             ways = {role: (SENSOR,) * (role == "agent") if of_sensor else fault.ways(role) for role in roles.values()}
             for link, directions in links_of(nodes or fault.selectors, roles, ways, draws(), where, carriers).items():

@@ -26,7 +26,7 @@ from mast_zenoh.mesh.control.results import EVALUATOR
 from mast_zenoh.metrics import Metric
 from mast_zenoh.metrics.estimates import LOCAL
 from mast_zenoh.metrics.measures import label_of
-from mast_zenoh.scenario.timeline import DIRECTED, UNDER_WAY_S, attack_starts
+from mast_zenoh.scenario.timeline import DIRECTED, acts_at, attack_starts
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
 from mast_zenoh.wiring.model import Wiring, agent_of, link_of
 
@@ -228,10 +228,9 @@ def _faults(run: _EndedRun) -> Iterator[str]:
     for band in run.resolved.timeline:
         if (band["kind"], band["backend"]) != ("fault", "links") or band["at_s"] > run.duration_s:
             continue
-        until_s = np.inf if band["until_s"] is None else band["until_s"]
         nodes = {link_of(place) for place in band["nodes"]} & run.of_role("link").keys()
         times_s = [frame * run.resolved.period_ns * 1e-9 for node in nodes for frame in frames.get(node, ())]
-        if nodes and not any(band["at_s"] - UNDER_WAY_S <= time_s <= until_s for time_s in times_s):
+        if nodes and not acts_at(band, np.array(times_s)).any():
             end = "" if band["until_s"] is None else f" to {band['until_s']:g}"
             yield f"fault {band['label']} changed no message from {band['at_s']:g}{end} s"
 

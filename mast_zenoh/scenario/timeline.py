@@ -9,7 +9,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mast_zenoh import links
+from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.attacks import Attack
 from mast_zenoh.config import plugins, registry
 from mast_zenoh.config.resolved import NodeSpec
@@ -32,9 +35,18 @@ REWRITE = "network.toml"
 REWRITES = {"peer": "network_peers.toml", "center": "network_centers.toml"}
 
 #: s before a fault; messages of that time may still be on their way when it begins.
-UNDER_WAY_S = 1.0
+_UNDER_WAY_S = 1.0
 
 _log = logging.getLogger("mast.scenario")
+
+
+def acts_at(band: Mapping[str, Any], times_s: Floats) -> Bools:
+    """(n,) whether a fault may act on messages of n times, s: while it lasts, and on those on their way as it begins.
+
+    band: its entry of Resolved.timeline
+    """
+    until_s = np.inf if band.get("until_s") is None else band["until_s"]
+    return np.asarray((band["at_s"] - _UNDER_WAY_S <= times_s) & (times_s <= until_s))
 
 
 @dataclass(frozen=True)

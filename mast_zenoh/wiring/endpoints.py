@@ -37,6 +37,11 @@ class NodeOptions:
     affects: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     fuses: tuple[str, ...] = ()
 
+    @property
+    def of_one_wire(self) -> bool:
+        """Whether it is a link that a fault puts on a single wire: no map puts it on others."""
+        return self.options.get("agent") == ""
+
     def names(self, option: str) -> tuple[str, ...]:
         """The subjects that an option names; none without the option."""
         value = self.options.get(option, ())
@@ -68,7 +73,7 @@ def members(
         role = role.removeprefix(OTHER)
         own = members(role, nodes, place, placeholder=placeholder, subject=subject)
         every = members(role, nodes, place, node=node)
-        return {name: other for name, other in every.items() if name not in own and other.options.get("agent") != ""}
+        return {name: other for name, other in every.items() if name not in own and not other.of_one_wire}
     subject = agent_of(subject)
     roles = {*ROLES, *(other.role for other in nodes.values())}
     if role not in roles:
@@ -81,7 +86,7 @@ def members(
     elif placeholder and any(placeholder in other.options for other in of_role.values()):
         of_role = {name: other for name, other in of_role.items() if subject in other.names(placeholder)}
     elif placeholder:
-        of_role = {name: other for name, other in of_role.items() if other.options.get("agent") != ""}
+        of_role = {name: other for name, other in of_role.items() if not other.of_one_wire}
     return {name: other for name, other in of_role.items() if node in (None, name)}
 
 

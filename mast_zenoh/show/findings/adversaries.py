@@ -144,8 +144,8 @@ def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[Find
     limited = partial(Finding, "limited", (interposer.name,))
     start, listeners = late_start_s(run, interposer), {*interposer.before}
     estimates = run.files.summary.get("agents", {}).get(run.ego, (PICTURE,))
-    idle = changed_for_nothing(run, interposer.name)
-    if idle and matters(run, interposer.name):
+    used, idle = matters(run, interposer.name), changed_for_nothing(run, interposer.name)
+    if used and idle:
         yield limited(where=" and ".join(idle), cause=("no estimate",))
     if interposer.effects is None:
         yield limited(cause=("unmeasured",))
@@ -155,7 +155,7 @@ def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[Find
         yield limited(value=start, unit="s", cause=("late",))
     elif not interposer.changed:
         yield limited(value=interposer.received, cause=("idle",))
-    elif not matters(run, interposer.name):
+    elif not used:
         yield limited(where=" and ".join(interposer.wires), cause=("no estimate",))
     elif not blamed_for and not any(reaches(run, interposer.name, estimate) for estimate in estimates):
         yield limited(where=" and ".join(interposer.wires), cause=("not the ego",))

@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.estimates import RECEIVED
 from mast_zenoh.runs.interposers import hostile, interposers
 from mast_zenoh.runs.run import Run
-from mast_zenoh.scenario.timeline import UNDER_WAY_S
+from mast_zenoh.scenario.timeline import acts_at
 from mast_zenoh.show.comparison import Reference
 from mast_zenoh.show.findings.changes import DISPLACED, MIN_CULPRIT_SHARE, Change, witnesses_of_withheld
 from mast_zenoh.show.findings.differences import attacking_nodes, other_differences
@@ -123,12 +123,8 @@ def _faults(run: Run, change: Change, *, any_effect: bool) -> list[str]:
     for each in run.timeline:
         if each["kind"] == "attack":
             continue
-        until_s = np.inf if each.get("until_s") is None else each["until_s"]
-        during = {
-            name: (each["at_s"] - UNDER_WAY_S <= times_s) & (times_s <= until_s)
-            for name, times_s in acted.items()
-            if name in map(link_of, each.get("nodes") or ())
-        }
+        links = {link_of(place) for place in each.get("nodes") or ()}
+        during = {name: acts_at(each, times_s) for name, times_s in acted.items() if name in links}
         if each.get("backend") != "links" or any(rows.any() for rows in during.values()):
             named.append(str(each["label"]))
         for name, rows in during.items():
