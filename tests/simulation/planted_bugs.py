@@ -400,6 +400,9 @@ def a_node_that_does_not_finish_is_forgotten(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(launcher_protocol.Endings, "_ask_to_stop", forget)
 
 
+#: Schedules of a world among which each of PLANTS is found.
+ENOUGH_SEEDS = 400
+
 #: The plants that are found soon, with the worlds of `small_worlds` in which each is looked for. The others need a rare
 #: schedule; one for each is in test_found_schedules.
 PLANTS: dict[Plant, tuple[str, ...]] = {

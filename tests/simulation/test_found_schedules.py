@@ -4,7 +4,7 @@ from itertools import cycle
 
 import planted_bugs as bugs
 import pytest
-from planted_bugs import PLANTS, Plant
+from planted_bugs import ENOUGH_SEEDS, PLANTS, Plant
 
 from mast_zenoh.testing.simulation import Disturbance, Schedule, check, find, simplest
 
@@ -66,21 +66,20 @@ def test_a_schedule_that_once_broke_a_promise_breaks_none(plant, name, schedule,
     assert check(worlds[name], schedule), f"this schedule no longer shows the bug: {plant.__doc__}"
 
 
-SEEDS = 1000
-
-
 @pytest.mark.heavy
 @pytest.mark.parametrize("plant", PLANTS, ids=lambda plant: plant.__name__)
 def test_a_planted_bug_is_found(plant, worlds, monkeypatch) -> None:
     plant(monkeypatch)
     names = cycle(PLANTS[plant])
-    assert any(find(worlds[name], [seed]) for seed, name in zip(range(SEEDS), names, strict=False)), plant.__doc__
+    assert any(find(worlds[name], [seed]) for seed, name in zip(range(ENOUGH_SEEDS), names, strict=False)), (
+        plant.__doc__
+    )
 
 
 def test_a_schedule_with_which_a_promise_is_broken_is_simplified(worlds, monkeypatch) -> None:
     (dead,) = (plant for plant in PLANTS if plant.__name__ == "a_dead_node_is_waited_for")
     dead(monkeypatch)
-    broken = find(worlds["lockstep"], range(SEEDS))
+    broken = find(worlds["lockstep"], range(ENOUGH_SEEDS))
     assert broken is not None
     simple = simplest(worlds["lockstep"], broken)
     assert [disturbance.kind for disturbance in simple.schedule.disturbances] == ["kill"]

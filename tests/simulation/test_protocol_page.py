@@ -84,7 +84,8 @@ def test_the_diagrams_have_every_transition_of_simulated_runs(worlds, monkeypatc
 
 @pytest.mark.heavy
 def test_the_diagrams_have_no_transition_that_many_simulated_runs_never_make(worlds, monkeypatch) -> None:
-    for title, seen in zip(DIAGRAMS, transitions(worlds, range(500), monkeypatch), strict=True):
+    richest = {name: worlds[name] for name in ("steps", "realtime")}
+    for title, seen in zip(DIAGRAMS, transitions(richest, range(200), monkeypatch), strict=True):
         assert seen == edges(title)
 
 

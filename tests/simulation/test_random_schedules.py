@@ -4,8 +4,10 @@ import math
 
 import pytest
 from endings_table import ending
+from fuzzing import Fuzzing
 from hypothesis import given
 from hypothesis import strategies as st
+from planted_bugs import ENOUGH_SEEDS
 from small_worlds import small_world, small_worlds
 
 from mast_zenoh import testing
@@ -14,27 +16,15 @@ from mast_zenoh.testing.simulation import Disturbance, Schedule, SimulatedWorld,
 from mast_zenoh.testing.simulation.promises import undisturbed
 from mast_zenoh.testing.simulation.world import KINDS
 
-SEEDS = 1000  # among all worlds
 
-
-@pytest.mark.parametrize(
-    ("number", "name"),
-    [
-        (0, "lockstep"),
-        pytest.param(1, "steps", marks=pytest.mark.heavy),
-        pytest.param(2, "late", marks=pytest.mark.heavy),
-        pytest.param(3, "realtime", marks=pytest.mark.heavy),
-    ],
-)
-def test_runs_with_random_schedules_keep_every_promise(worlds, number, name) -> None:
-    explore(worlds[name], range(number, SEEDS, len(worlds)))
+def test_runs_with_random_schedules_keep_every_promise(worlds: dict[str, SimulatedWorld]) -> None:
+    explore(worlds["lockstep"], range(100))
 
 
 @pytest.mark.heavy
-@pytest.mark.timeout(600)  # two minutes of computing
 @pytest.mark.parametrize("name", ["lockstep", "steps", "late", "realtime"])
-def test_runs_with_more_random_schedules_keep_every_promise(worlds: dict[str, SimulatedWorld], name: str) -> None:
-    explore(worlds[name], range(SEEDS, 4 * SEEDS))
+def test_runs_with_more_random_schedules_keep_every_promise(worlds, name: str, fuzzing: Fuzzing) -> None:
+    explore(worlds[name], range(fuzzing.draws(ENOUGH_SEEDS, 4000)))
 
 
 def test_a_schedule_decides_everything(worlds: dict[str, SimulatedWorld]) -> None:
