@@ -3,11 +3,7 @@
 from collections.abc import Callable
 
 import pytest
-from observed_run import ObservedRun
-from played import FRAMES, Played, play, play_observed
-from shipped import every, label
-
-from mast_zenoh import scenario
+from played import Played, play
 
 
 @pytest.fixture(scope="session")
@@ -22,24 +18,3 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Played]:
         return runs[key]
 
     return get
-
-
-@pytest.fixture(scope="session")
-def shipped(tmp_path_factory: pytest.TempPathFactory) -> Callable[[tuple[str, ...]], tuple[Played, ObservedRun]]:
-    """Play each shipped scenario as an `ObservedRun`, once per session."""
-    runs: dict[tuple[str, ...], tuple[Played, ObservedRun]] = {}
-
-    def get(variant: tuple[str, ...]) -> tuple[Played, ObservedRun]:
-        if variant not in runs:
-            path, content = scenario.load(variant[0], list(variant[1:]))
-            resolved = scenario.resolve(path, content, frames=FRAMES, seed=0, record=True)
-            runs[variant] = play_observed(tmp_path_factory.mktemp("run"), resolved)
-        return runs[variant]
-
-    return get
-
-
-@pytest.fixture(params=every(), ids=label)
-def variant(request: pytest.FixtureRequest) -> tuple[str, ...]:
-    """One of the shipped scenarios, with its settings."""
-    return request.param

@@ -7,6 +7,7 @@ from typing import Any
 
 import psutil
 import pytest
+from fuzzing import Fuzzing
 from typer.testing import CliRunner
 
 from mast_zenoh import scenario
@@ -14,9 +15,6 @@ from mast_zenoh.cli import app
 from mast_zenoh.launch import checks, run
 from mast_zenoh.launch.checks import convergence
 from mast_zenoh.run_folder.recording.difference import compare, explain
-
-#: Numbers from 0 to 19; all after the first four are heavy.
-TWENTY = [number if number < 1 else pytest.param(number, marks=pytest.mark.heavy) for number in range(20)]
 
 #: On the mesh, with fewer processes.
 SMALL = ("n_infrastructure=1",)
@@ -47,13 +45,23 @@ def check_results(folder: Path) -> list[dict[str, Any]]:
     return list(json.loads((folder / checks.FILE).read_text())["checks"])
 
 
-@pytest.mark.parametrize("block", TWENTY)
-def test_200_random_schedules_in_one_process_pass_all_checks(block: int, tmp_path: Path) -> None:
+def check_schedules(seeds: range, tmp_path: Path) -> None:
+    """Play random schedules in one process; all checks are asked for, and pass."""
     asked: set[str] = set()
-    for seed in range(10 * block, 10 * block + 10):
+    for seed in seeds:
         folder = played(tmp_path / str(seed), seed, "inproc")
         asked |= {check["name"] for check in check_results(folder) if check["values"]["checked"]}
     assert asked == {"collation", "convergence", "sequences"}
+
+
+def test_random_schedules_in_one_process_pass_all_checks(tmp_path: Path) -> None:
+    check_schedules(range(10), tmp_path)
+
+
+@pytest.mark.heavy
+@pytest.mark.timeout(600)
+def test_more_random_schedules_in_one_process_pass_all_checks(tmp_path: Path, fuzzing: Fuzzing) -> None:
+    check_schedules(range(10, fuzzing.draws(40, 200)), tmp_path)
 
 
 @pytest.mark.mesh

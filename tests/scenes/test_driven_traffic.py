@@ -4,9 +4,10 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
+from fuzzing import Fuzzing
 
 from mast_zenoh.arrays.geometry import heading
-from mast_zenoh.driving import FollowingDriver, ProposalDriver, Situation
+from mast_zenoh.driving import Driver, FollowingDriver, ProposalDriver, Situation
 from mast_zenoh.driving.contact import collisions
 from mast_zenoh.driving.proposals import OFFSETS_M
 from mast_zenoh.metrics.driving import RoadUsers, VehicleCourse
@@ -18,19 +19,8 @@ FRAMES, UNDRIVEN = 300, 10
 LANE_M = 0.8
 
 
-@pytest.mark.parametrize(
-    ("driver", "scene_index", "seed", "frames"),
-    [
-        pytest.param(FollowingDriver, 2, 0, 100),
-        *[
-            pytest.param(driver, scene_index, seed, FRAMES, marks=pytest.mark.heavy)
-            for driver in (FollowingDriver, ProposalDriver)
-            for scene_index in range(4)
-            for seed in range(6)
-        ],
-    ],
-)
-def test_cars_that_see_the_truth_of_a_frame_ago_hit_nothing_and_keep_to_their_lanes(driver, scene_index, seed, frames):
+def check_traffic(driver: type[Driver], scene_index: int, seed: int, frames: int) -> None:
+    """Cars that see the truth of a frame ago hit nothing and keep to their lanes."""
     world = Intersection(scene_index=scene_index, n_infrastructure=0, n_mobile=2).world(seed, None)
     beside = LANE_M if driver is FollowingDriver else LANE_M + max(OFFSETS_M)
     drivers, known, moved = defaultdict(driver), None, 0.0
@@ -55,3 +45,15 @@ def test_cars_that_see_the_truth_of_a_frame_ago_hit_nothing_and_keep_to_their_la
         known = truth.with_(position=truth.position + 0.1 * truth.velocity)
         world.step(commands if frame >= UNDRIVEN else {})
     assert moved > 0.15 * frames
+
+
+def test_cars_hit_nothing_and_keep_to_their_lanes() -> None:
+    check_traffic(FollowingDriver, 2, 0, 100)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("driver", [FollowingDriver, ProposalDriver])
+@pytest.mark.parametrize("scene_index", range(4))
+def test_cars_hit_nothing_and_keep_to_their_lanes_for_long(driver, scene_index: int, fuzzing: Fuzzing) -> None:
+    for seed in range(scene_index, scene_index + fuzzing.draws(1, 6)):
+        check_traffic(driver, scene_index, seed, FRAMES)

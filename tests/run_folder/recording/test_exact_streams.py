@@ -1,4 +1,4 @@
-"""Runs in one process are byte-identical under irrelevant changes."""
+"""A recorded scene gives the same bytes wherever its folder is."""
 
 import os
 import shutil
@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from equal_runs import assert_equal, run_alone
-from tiny_world import Run, tiny
 
 pytestmark = pytest.mark.heavy
 
@@ -31,14 +30,6 @@ def av2_log() -> Path:
     if not logs:
         pytest.skip(f"no reference data: no log in {DATA / 'av2_logs'} (set MAST_DATA)")
     return logs[0].parent
-
-
-def test_a_thousand_delivery_orders_give_the_same_bytes() -> None:
-    resolved = tiny("coordinated", "n_adversaries=1", "attack_start_s=0.1", frames=3)
-    plain = Run(resolved, encode=False)
-    assert plain.messages["attack/adversary_1/report"], "the attack has started"
-    for shuffle in range(1000):
-        assert Run(resolved, encode=False, shuffle=shuffle).messages == plain.messages, f"order {shuffle}"
 
 
 @pytest.mark.parametrize("scene", ["scene_a", "av2_log"])

@@ -104,16 +104,15 @@ def test_a_client_that_never_reads_again_is_dropped_and_others_receive_everythin
         ForeignClient(router, TOPICS, tmp_path / "stalled.json", overrides=[tiny]) as bad,
     ):
         client = client_of(router)
-        run = launch(*REAL_TIME, "--frames", "100", *settings_of(router))
+        run = launch(*REAL_TIME, "--frames", "60", *settings_of(router))
         eventually(lambda: bad.counts()["/clock"] > 5, "the first frames")
         bad.stall()
-        assert sent(run.ended()) == 100
-        assert_recorded(client, run.out, 100)
+        assert sent(run.ended()) == 60
+        assert_recorded(client, run.out, 60)
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("level", ["mtls", "acl"])
-def test_secure_meshes_and_routers_that_demand_certificates_are_bridged(level, launch, client_of, tmp_path) -> None:
+def test_secure_meshes_and_routers_that_demand_certificates_are_bridged(launch, client_of, tmp_path) -> None:
     authority = Authority("ros")
     own = authority.issue("bridge").write(tmp_path / "bridge")
     files = {"ca": own / "ca.pem", "certificate": own / "certificate.pem", "key": own / "key.pem"}
@@ -121,9 +120,9 @@ def test_secure_meshes_and_routers_that_demand_certificates_are_bridged(level, l
         names = {"ca": "root_ca_certificate", "certificate": "connect_certificate", "key": "connect_private_key"}
         overrides = [f'transport/link/tls/{names[name]}="{path}"' for name, path in files.items()]
         client = client_of(router, *overrides, "transport/link/tls/enable_mtls=true", "listen/endpoints=[]")
-        run = launch(*REAL_TIME, "--frames", "40", "--secure", level, *settings_of(router, **files))
-        assert sent(run.ended()) == 40
-        assert_recorded(client, run.out, 40)
+        run = launch(*REAL_TIME, "--frames", "20", "--secure", *settings_of(router, **files))
+        assert sent(run.ended()) == 20
+        assert_recorded(client, run.out, 20)
 
 
 def assert_leaves_no_layouts(output: str) -> None:
@@ -152,14 +151,14 @@ def test_an_interrupt_ends_a_run_and_its_bridge_also_if_that_is_stuck(signals: i
 @pytest.mark.heavy
 def test_a_run_whose_bridge_is_killed_says_since_when_it_had_none(launch: Launch) -> None:
     with ros2_router() as router:
-        run = launch("coordinated", "--frames", "400", *settings_of(router))
+        run = launch("coordinated", "--frames", "150", *settings_of(router))
         run.at_frame(5)
         (bridge,) = [child for child in psutil.Process(run.process.pid).children() if "ros2" in child.cmdline()]
         bridge.kill()
         output = run.ended()
-    match = re.search(r"exit code -9 at frame (\d+) of 400: the run had none from then on", output)
+    match = re.search(r"exit code -9 at frame (\d+) of 150: the run had none from then on", output)
     assert match, output
-    assert 5 <= int(match[1]) < 400
+    assert 5 <= int(match[1]) < 150
     assert_leaves_no_layouts(output)
 
 
@@ -167,43 +166,47 @@ def test_a_run_whose_bridge_is_killed_says_since_when_it_had_none(launch: Launch
 def test_a_scenario_can_ask_for_every_frame_in_lock_step(launch: Launch, client_of: Any) -> None:
     with ros2_router() as router:
         client = client_of(router)
-        run = launch("coordinated", "--frames", "60", "--set", "ros2.every_frame=true", *settings_of(router))
-        assert sent(run.ended()) == 60
-        assert_recorded(client, run.out, 60)
+        run = launch("coordinated", "--frames", "20", "--set", "ros2.every_frame=true", *settings_of(router))
+        assert sent(run.ended()) == 20
+        assert_recorded(client, run.out, 20)
 
 
 @pytest.mark.heavy
 def test_in_lock_step_the_newest_frames_are_sent_at_a_pace_that_costs_little(launch: Launch, client_of: Any) -> None:
     with ros2_router() as router:
         client = client_of(router)
-        run = launch("coordinated", "--frames", "200", *settings_of(router))
+        run = launch("coordinated", "--frames", "80", *settings_of(router))
         output = run.ended()
         number = sent(output)
-        assert 0 < number < 200
-        assert f"sent: {number} of 200 frames: in lock-step" in output
+        assert 0 < number < 80
+        assert f"sent: {number} of 80 frames: in lock-step" in output
         eventually(lambda: client.counts()["/clock"] == number, "the frames")
         received = client.messages()
     expected = expected_messages(open_recorded(run.out), TOPICS)
     stamps = [message["clock"] for message in expected["/clock"]]
     rows = [stamps.index(message["clock"]) for message in received["/clock"]]
     assert rows == sorted(set(rows))
-    assert rows[-1] == 199, "the last frame is sent at least"
+    assert rows[-1] == 79, "the last frame is sent at least"
     for topic in ("/tf", "/cc/picture", "/cc/picture/markers", "/agent/infra_1/tracks/received/tracked_objects"):
         assert received[topic] == [expected[topic][row] for row in rows], topic
 
 
 @pytest.mark.heavy
-@pytest.mark.timeout(600)
 def test_a_running_run_can_be_bridged_later_with_every_frame(launch: Launch, client_of: Any) -> None:
     with ros2_router() as router:
         client = client_of(router)
-        run = launch("coordinated", "--frames", "600")
+        run = launch("coordinated", "--frames", "80")
         record = run.at_frame(5)
+        broker = psutil.Process(record["nodes"]["broker"]["pid"])
+        broker.suspend()  # the run waits for it
         command = [*MAST, "ros2", record["endpoint"], f"--router={router}", "--every-frame"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as bridge:
-            code, own = run.end(450)
+            assert bridge.stdout is not None
+            assert any(line.startswith("rviz: ") for line in bridge.stdout)
+            broker.resume()
+            code, own = run.end()
             assert code == 0, own
-            output, _ = bridge.communicate(timeout=120)
+            output, _ = bridge.communicate(timeout=60)
         assert bridge.returncode == 0, output
         received = client.messages()
     expected = expected_messages(open_recorded(run.out), TOPICS)
