@@ -222,7 +222,7 @@ def test_no_process_is_signalled_because_a_folder_names_it(
 
 
 #: Bytes, more than a command may use.
-_UNPACKED = 2 << 30
+_UNPACKED = 3 << 29
 
 
 def chunk_that_claims_to_be_small(place: Place) -> None:
@@ -262,7 +262,13 @@ def scene_of_zeros(place: Place) -> None:
             member.write(bytes(1 << 24))
 
 
-BOMBS: tuple[Case, ...] = (chunk_that_claims_to_be_small, table_of_one_value, text_in_a_dictionary, scene_of_zeros)
+#: Each with two commands that read its file.
+BOMBS: dict[Case, tuple[str, str]] = {
+    chunk_that_claims_to_be_small: ("export pcap", "diff"),
+    table_of_one_value: ("export csv", "snapshot"),
+    text_in_a_dictionary: ("export csv", "snapshot"),
+    scene_of_zeros: ("snapshot", "replay"),
+}
 
 
 @pytest.mark.parametrize("bomb", BOMBS, ids=lambda bomb: bomb.__name__)
@@ -274,7 +280,7 @@ def test_a_bomb_costs_bounded_memory_and_time(bomb: Case, sound: Path, tmp_path:
         "OUT": str(tmp_path / "x"),
         "OUT.png": str(tmp_path / "x.png"),
     }
-    for title in ("export csv", "export pcap", "snapshot", "diff", "replay"):
+    for title in BOMBS[bomb]:
         words = [sys.executable, "-P", "-m", "mast_zenoh", *(paths.get(word, word) for word in COMMANDS[title])]
         measured = measure(words, 60)
         assert measured.code in KNOWN_CODES, title

@@ -54,20 +54,20 @@ SHORT = "launcher suspended for less than 20 s and resumed, lock-step (Ctrl-Z, S
 
 
 def test_a_suspended_launcher_resumes_a_lock_step_run_without_effect(launch) -> None:
-    run: Launched = launch(*BASELINE, "--frames", "150")
+    run: Launched = launch(*BASELINE, "--frames", "60")
     run.at_frame(15)
-    suspend(run, 5.0)
+    suspend(run, 4.0)
     code, output = run.end()
     assert (run.record()["status"], code) == ending(SHORT)
     assert "Traceback" not in output
     assert run.record()["churn"] == []
-    assert {message.frame for message in read(run.out)} == set(range(150))
+    assert {message.frame for message in read(run.out)} == set(range(60))
 
 
 def test_a_launcher_suspended_too_long_in_real_time_names_lost_nodes(launch) -> None:
-    run: Launched = launch(*BASELINE, "--mode", "realtime", "--frames", "120")
+    run: Launched = launch(*BASELINE, "--mode", "realtime", "--frames", "80")
     run.at_frame(15)
-    suspend(run, 5.0)
+    suspend(run, 4.0)
     code, output = run.end()
     what = "launcher suspended for more than 2 s and resumed, real time"
     assert (run.record()["status"], code) == ending(what), output
@@ -80,7 +80,7 @@ def test_a_launcher_suspended_too_long_fails_a_run_with_remote_nodes(start, tmp_
     allow(tmp_path / "run_0", 20)
     run = start(sys.executable, held_back.__file__, "baseline", PYTHONPATH=os.pathsep.join(sys.path))
     run.at_frame(20)
-    suspend(run, 5.0)
+    suspend(run, 4.0)
     allow(run.out, 1000)
     code, output = run.end()
     what = "launcher suspended for more than 2 s and resumed, lock-step, nodes elsewhere"
@@ -150,7 +150,7 @@ def test_failures_on_a_mesh_equal_those_in_one_process_and_set_the_exit_code(lau
 SILENT = {"evaluator", "recorder"}
 
 
-@pytest.mark.parametrize(("mode", "secure", "frames"), [("lockstep", "acl", 240), ("realtime", "open", 60)])
+@pytest.mark.parametrize(("mode", "secure", "frames"), [("lockstep", "acl", 120), ("realtime", "open", 60)])
 def test_rates_lags_and_the_score_are_those_of_the_run(monkeypatch, tmp_path, mode, secure, frames) -> None:
     drawn = drawn_statuses(monkeypatch)
     path, loaded = scenario.load(

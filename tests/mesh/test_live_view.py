@@ -105,7 +105,7 @@ def recorded(folder: Path, number: int, agent: str, estimate: str) -> list[tuple
 
 
 def test_the_page_of_a_running_run_draws_what_is_recorded(show: Callable[..., LiveRun]) -> None:
-    settings = ("--set", "attack_start_s=1.0", "--mode", "realtime", "--frames", "150")
+    settings = ("--set", "attack_start_s=1.0", "--mode", "realtime", "--frames", "100")
     live = show("coordinated", *settings)
     page = live.page
     with connect(f"ws://{live.url.removeprefix('http://')}frames"):  # never reads
@@ -130,7 +130,7 @@ def test_the_page_of_a_running_run_draws_what_is_recorded(show: Callable[..., Li
 
 
 def test_a_viewer_of_a_secure_run_has_a_certificate_of_its_own_and_changes_nothing(show, launch, tmp_path) -> None:
-    words = ("uncoordinated", "--set", "n_infrastructure=2", "--set", "attack_start_s=0.5", "--frames", "400")
+    words = ("uncoordinated", "--set", "n_infrastructure=2", "--set", "attack_start_s=0.5", "--frames", "200")
     live = show(*words, "--secure")
     live.frames(2)
     assert live.page.evaluate("viewer.marks(0).boxes.length") > 5

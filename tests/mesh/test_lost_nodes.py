@@ -42,18 +42,18 @@ def recorded_frame(folder: Path) -> int:
 
 def test_nodes_suspended_with_full_queues_for_longer_than_any_lease_are_waited_for(launch, tmp_path: Path) -> None:
     """Zenoh's default closes a link on which a message has waited for 5 s."""
-    run: Launched = launch("baseline", "--set", "n_infrastructure=12", *FRAMES)
+    run: Launched = launch("baseline", "--set", "n_infrastructure=12", "--frames", "40")
     nodes = at_frame(run, 1)["nodes"]
     victims = [nodes[name]["pid"] for name in ("recorder", "command_center")]
     for pid in victims:
         os.kill(pid, signal.SIGSTOP)
     with pytest.raises(subprocess.TimeoutExpired):  # the other nodes wait for them
-        run.process.wait(8.0)
+        run.process.wait(7.0)
     for pid in victims:
         os.kill(pid, signal.SIGCONT)
     run.ended()
     assert run.record()["churn"] == []
-    assert_equal(run.out, run_alone(tmp_path / "twin", "baseline", "n_infrastructure=12", frames=100, record=True))
+    assert_equal(run.out, run_alone(tmp_path / "twin", "baseline", "n_infrastructure=12", frames=40, record=True))
 
 
 def test_a_node_lost_in_lock_step_fails_the_run_by_name(launch, undisturbed: Path) -> None:
