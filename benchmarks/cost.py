@@ -32,7 +32,7 @@ import tempfile
 import tomllib
 import tracemalloc
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
@@ -197,10 +197,11 @@ CALLGRIND = (
 )
 
 
-def record(file: Path) -> None:
-    """Record the runs into a file."""
+def record(file: Path, runs: Sequence[str]) -> None:
+    """Record these of RUNS into a file."""
     recorded = {}
-    for name, (scenario_name, settings) in RUNS.items():
+    for name in runs:
+        scenario_name, settings = RUNS[name]
         path, loaded = scenario.load(scenario_name, settings)
         resolved = scenario.resolve(path, loaded, frames=WARM_UP + COUNTED, record=True)
         with tempfile.TemporaryDirectory(dir=file.parent) as folder:
@@ -244,13 +245,13 @@ def replay_role(
     return tally.costs() | nodes.sent if tally else {}
 
 
-def measure(*, instructions: bool) -> Costs:
-    """Costs of a frame: instructions, or all else."""
+def measure(*, instructions: bool, runs: Sequence[str] = tuple(RUNS)) -> Costs:
+    """Costs of a frame of these of RUNS: instructions, or all else."""
     with tempfile.TemporaryDirectory() as folder:
         recorded = Path(folder) / "recorded"
         python = (sys.executable, str(Path(__file__).resolve()))
         where = {"cwd": folder, "env": ENVIRONMENT | {"XDG_CACHE_HOME": folder}, "check": True}
-        subprocess.run([*python, "--record", recorded], **where)
+        subprocess.run([*python, "--record", recorded, *runs], **where)
         command = [*python, "--replay", recorded]
         if instructions:
             command = [shutil.which("valgrind"), *CALLGRIND, *command, "--sections"]
@@ -390,10 +391,11 @@ def main() -> int:
     parser.add_argument("--write", action="store_true", help="make these costs the budgets")
     parser.add_argument("--record", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--replay", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("runs", nargs="*", help=argparse.SUPPRESS)
     parser.add_argument("--sections", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.record:
-        record(arguments.record)
+        record(arguments.record, arguments.runs)
         return 0
     if arguments.replay:
         replay(arguments.replay, tally=not arguments.sections)

@@ -1,12 +1,15 @@
 """Scenarios give the same messages, results and failures on a simulated mesh as in one process."""
 
 import os
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
 import failing
 import pytest
+import random_scenarios
 from driven import driven, over_a_rough_link
+from fuzzing import Fuzzing
 from simulated_runs import assert_equals_one_process, harmless_schedules, on_simulated_mesh, resolve, schedule
 from tiny_world import tiny
 
@@ -66,6 +69,14 @@ def test_a_world_that_waits_for_commands_gives_the_same_messages_as_in_one_proce
 def test_a_random_schedule_of_faults_gives_the_same_messages_as_in_one_process(seed: int) -> None:
     resolved = resolve("chaos", f"chaos_seed={seed}", "n_infrastructure=1")
     assert_equals_one_process(resolved, *list(harmless_schedules(resolved, 5 if seed >= 4 else 2))[1:])
+
+
+@pytest.mark.heavy
+@pytest.mark.timeout(1800)  # with --fuzz
+def test_random_scenarios_of_every_kind_give_the_same_messages_as_in_one_process(fuzzing: Fuzzing) -> None:
+    for number in range(fuzzing.draws(len(random_scenarios.KINDS), 60)):
+        name, settings, seed = astuple(random_scenarios.drawn(number))
+        assert_equals_one_process(resolve(name, *settings, frames=random_scenarios.FRAMES, seed=seed))
 
 
 def test_an_evaluator_that_gets_the_keys_of_many_frames_one_after_the_other_gives_the_same_results() -> None:

@@ -111,9 +111,8 @@ def _centre(draw: _Draw) -> tuple[str, dict[str, Any]]:
             ["on_detections.toml"], ["on_tracks.toml"], ["on_detections.toml", "on_tracks.toml"]
         )
     else:
-        settings["coordinator.adversaries"] = draw.names(
-            [f"adversary_{k}" for k in range(2, count + 1)] or ["adversary_1"]
-        )
+        followers = [f"adversary_{k}" for k in range(2, count + 1)] or ["adversary_1"] * bool(victims)
+        settings["coordinator.adversaries"] = draw.names(followers) if followers else []
     return name, settings
 
 
