@@ -18,8 +18,8 @@ kernels: .venv/installed
 # All optional packages and the tools for tests and development.
 dev: .venv/ready
 
-# Three workers, also on two cores, because tests that start processes mostly wait. Tests of one file share fixtures that
-# are slow to build, so they stay in one worker. They start thousands of processes, so bytecode is kept in any environment:
+# Three workers, also on two cores, because tests that start processes mostly wait; the heavy ones wait more. Tests of one
+# file share fixtures that are slow to build, so they stay in one worker. They start thousands of processes, so bytecode is kept in any environment:
 # without it, the tests take a third longer.
 PYTEST := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 # All tests but those marked `heavy`; of TESTS, if given, all.
@@ -28,12 +28,15 @@ test: .venv/ready
 
 # These, then the heavy ones: containers, hosts, browsers, the commands of pages, every way to end a run.
 test-all: test .venv/ros2/ready .venv/sumo
-	$(PYTEST) -m heavy
+	$(PYTEST) -n 4 -m heavy
 
-# `make fuzz SEED=7` repeats the draws of an earlier run with that seed.
+# Random draws, many more than `make test-all` makes; `make fuzz SEED=7` repeats those of an earlier run with that seed.
+DRAWN := tests/runtime/test_malformed_input.py tests/mesh/test_malformed_control.py tests/simulation tests/testing \
+	tests/runtime/test_any_order.py tests/faults tests/scenes/test_driven_traffic.py tests/evaluation/test_shipped_scenarios.py \
+	tests/launch/test_exit_paths.py
 fuzz: SEED ?= $(shell $(PYTHON) -c 'import random; print(random.randrange(1 << 24))')
 fuzz: .venv/ready
-	$(BIN)/python -m pytest --fuzz --fuzz-seed $(SEED) --timeout 1800 tests/runtime/test_malformed_input.py tests/mesh/test_malformed_control.py
+	$(PYTEST) --fuzz --fuzz-seed $(SEED) --timeout 3600 $(DRAWN)
 
 # Attacks by one compromised node of each role: 200 messages of each kind on every control key. Takes about
 # a quarter of an hour.

@@ -26,8 +26,8 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run tests that start processes first: they mostly wait, others fill the time."""
-    items.sort(key=lambda item: item.get_closest_marker("mesh") is None)
+    """Run the longest files first, then tests that start processes: they mostly wait, others fill the time."""
+    items.sort(key=lambda item: [item.get_closest_marker(marker) is None for marker in ("long", "mesh")])
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -50,12 +50,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--fuzz", action="store_true", help="send many more malformed messages in the fuzz tests")
-    parser.addoption("--fuzz-seed", type=int, default=0, help="what the fuzz tests draw from (default: 0)")
+    parser.addoption("--fuzz", action="store_true", help="make many more random draws")
+    parser.addoption("--fuzz-seed", type=int, default=0, help="what malformed messages are drawn from (default: 0)")
 
 
 def pytest_report_header(config: pytest.Config) -> list[str]:
-    return [f"fuzz tests: seed {config.getoption('fuzz_seed')}"] if config.getoption("fuzz") else []
+    return [f"malformed messages: seed {config.getoption('fuzz_seed')}"] if config.getoption("fuzz") else []
 
 
 @pytest.fixture

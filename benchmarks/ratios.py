@@ -1,6 +1,6 @@
 """Ratios of speed: this version to another one, and to peers, measured in turn until the time is up.
 
-    python benchmarks/ratios.py [--minutes 10] [--against COMMIT]
+    python benchmarks/ratios.py [--minutes 10] [--against COMMIT] [--frames 100]
 
     in process    frames of a baseline, an attacked and a defended run in one process, in processor time
     mesh          lock-step frames of the baseline on a mesh, on the wall clock, also of bare messages over the same
@@ -44,7 +44,6 @@ from mast_zenoh.tracking import FilterpyBoxTracker3D, KalmanBoxTracker3D, StoneS
 
 #: Measures the seconds of all sides of a comparison, this version's first.
 Comparison = Callable[[], dict[str, float]]
-DRIVEN_FRAMES = 100
 MESSAGES = 100  # in a block of messages through a link
 
 
@@ -65,22 +64,22 @@ def step_s(tracker: type[Tracker]) -> float:
     return turns.step_ms(tracker(), 20) * 1e-3
 
 
-def closed_loop() -> dict[str, Callable[[], float]]:
+def closed_loop(frames: int) -> dict[str, Callable[[], float]]:
     """What takes the processor seconds of a junction's frames: driven, as prepared, and as prepared and perceived."""
     path, content = scenario.load("driving")
-    driven = scenario.resolve(path, content, frames=DRIVEN_FRAMES)
-    recorded = scenario.resolve(path, content | {"drivers": {}}, frames=DRIVEN_FRAMES)
+    driven = scenario.resolve(path, content, frames=frames)
+    recorded = scenario.resolve(path, content | {"drivers": {}}, frames=frames)
 
     def played(resolved: Resolved) -> float:
         began: list[float] = []
-        InProcess(resolved, progress=lambda frames: began.append(time.process_time())).run()
-        return (began[-1] - began[0]) * DRIVEN_FRAMES / (len(began) - 1)
+        InProcess(resolved, progress=lambda _: began.append(time.process_time())).run()
+        return (began[-1] - began[0]) * frames / (len(began) - 1)
 
     def perceived() -> float:
-        world = Intersection().world(driven.seed, DRIVEN_FRAMES).now()
+        world = Intersection().world(driven.seed, frames).now()
         detection = FrameDetection(world, DetectionModel(), driven.seed)
         ready = time.process_time()
-        for frame in range(DRIVEN_FRAMES):
+        for frame in range(frames):
             points = lidar_visibility(world, walls=detection.walls)
             for _ in detection.of(world, 0, points, number=frame):
                 pass
@@ -93,12 +92,14 @@ def closed_loop() -> dict[str, Callable[[], float]]:
     }
 
 
-def comparisons(this: versions.Version, other: versions.Version, bench: link.Bench) -> dict[str, Comparison]:
+def comparisons(
+    this: versions.Version, other: versions.Version, bench: link.Bench, frames: int
+) -> dict[str, Comparison]:
     """Everything that is compared."""
     path, loaded = scenario.load("baseline")
-    resolved = scenario.resolve(path, loaded, frames=versions.FRAMES)
+    resolved = scenario.resolve(path, loaded, frames=frames)
     sizes = lockstep.payload_sizes(resolved)
-    bare = partial(lockstep.bare, resolved, sizes, 3 * versions.FRAMES)
+    bare = partial(lockstep.bare, resolved, sizes, 3 * frames)
 
     def added_by_link() -> dict[str, float]:
         p50 = bench.medians(MESSAGES, ("direct", "relay", "link"))
@@ -123,7 +124,7 @@ def comparisons(this: versions.Version, other: versions.Version, bench: link.Ben
             filterpy=partial(step_s, FilterpyBoxTracker3D),
             stone_soup=partial(step_s, StoneSoupTracker),
         ),
-        "closed loop": in_turn(**closed_loop()),
+        "closed loop": in_turn(**closed_loop(frames)),
         "link": added_by_link,
     }
 
@@ -133,17 +134,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--against", metavar="COMMIT")
+    parser.add_argument("--frames", type=int, default=100, help="of each run")
     arguments = parser.parse_args()
     commit = versions.commit_of(arguments.against)
     package = versions.built(commit)
     end = time.monotonic() + 60.0 * arguments.minutes
     ratios: dict[tuple[str, str], list[float]] = defaultdict(list)
     with (
-        versions.Version(versions.ROOT) as this,
-        versions.Version(package) as other,
+        versions.Version(versions.ROOT, arguments.frames) as this,
+        versions.Version(package, arguments.frames) as other,
         link.running(link.message(20), ("relay", "link")) as bench,
     ):
-        compared = comparisons(this, other, bench)
+        compared = comparisons(this, other, bench, arguments.frames)
         for number, (name, measure) in enumerate(cycle(compared.items())):
             if time.monotonic() > end and number >= len(compared):
                 break

@@ -23,7 +23,6 @@ from mast_zenoh.mesh.security.levels import SECURE
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILT = ROOT / ".venv" / "versions"
-FRAMES = 100
 LEVELS = {"mesh": "open", "secured": SECURE}
 
 
@@ -63,14 +62,15 @@ def built(commit: str) -> Path:
 
 
 class Version(AbstractContextManager["Version"]):
-    """A process that runs scenarios with the package in a folder."""
+    """A process that runs so many frames of scenarios with the package in a folder."""
 
-    def __init__(self, package: Path) -> None:
+    def __init__(self, package: Path, frames: int) -> None:
         self._package = package
+        self._frames = frames
 
     def __enter__(self) -> Version:
         self._process = subprocess.Popen(
-            [sys.executable, __file__],
+            [sys.executable, __file__, str(self._frames)],
             env=os.environ | {"PYTHONPATH": str(self._package)},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -97,17 +97,17 @@ class Version(AbstractContextManager["Version"]):
 
 def serve() -> None:
     """Main function of such a process: runs what standard input names, and answers with the seconds of a frame."""
-    resolved = {}
+    frames, resolved = int(sys.argv[1]), {}
     for run, (name, settings) in RUNS.items():
         path, loaded = scenario.load(name, settings)
-        resolved[run] = scenario.resolve(path, loaded, frames=FRAMES)
+        resolved[run] = scenario.resolve(path, loaded, frames=frames)
     for line in sys.stdin:
         runtime, run = line.split()
         if runtime == "inproc":
             process = InProcess(resolved[run])
             began = time.process_time()
             process.run()
-            print((time.process_time() - began) / FRAMES, flush=True)
+            print((time.process_time() - began) / frames, flush=True)
         else:
             with tempfile.TemporaryDirectory() as folder:
                 finished = launcher.run(resolved[run], Path(folder) / "run", secure=LEVELS[runtime])

@@ -8,6 +8,8 @@ import pytest
 
 from mast_zenoh.config import loading
 
+pytestmark = pytest.mark.long
+
 cost = loading.module(Path(__file__).parents[1] / "benchmarks" / "cost.py")
 
 

@@ -20,7 +20,7 @@ from mast_zenoh.deploy.docker import docker
 from mast_zenoh.mesh.hosting import UP
 from mast_zenoh.run_folder.recording.reader import read
 
-pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.heavy, pytest.mark.long, pytest.mark.mesh, pytest.mark.timeout(600)]
 PARTITION = ("n_infrastructure=2", "attack_start_s=0.1", "partition_s=0.2", "partition_until_s=0.4")
 RESTARTED = (*PARTITION, "kill_s=0.5", "restart_after_s=0.3")
 FOLDER = Path(__file__).parents[2] / "deploy" / "compose"

@@ -23,7 +23,7 @@ from mast_zenoh.errors import EngineError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.run_folder.recording.reader import read
 
-pytestmark = [pytest.mark.heavy, pytest.mark.mesh, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.heavy, pytest.mark.long, pytest.mark.mesh, pytest.mark.timeout(300)]
 PROGRAM = [sys.executable, ssh_launch.__file__]
 LONG = 600  #: frames, which last a minute in real time: longer than any test lets such a run go on
 PLACES = {"beta": 'nodes = ["ego", "infra_4", "infra_5"]', "gamma": 'nodes = ["infra_[1-3]"]'}

@@ -21,7 +21,7 @@ from shipped import HARMLESS, every, label
 from mast_zenoh import scenario
 from mast_zenoh.metrics import ATTACK_CAUSES
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.heavy, pytest.mark.long]
 
 
 @pytest.fixture(scope="module")

@@ -31,7 +31,7 @@ from mast_zenoh.errors import MastError, UntrustedCode
 from mast_zenoh.show.figures import drawing
 from mast_zenoh.show.page.live_server import PageServer
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.heavy, pytest.mark.long]
 
 ALL = CASES | dict(wrong_types())
 MAX_S = 20

@@ -11,11 +11,12 @@ from pathlib import Path
 
 import pytest
 from endings_table import Ending, ending, table
+from fuzzing import Fuzzing
 from launched import MAST
 
 from mast_zenoh.run_folder.recording.reader import read
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.heavy, pytest.mark.long]
 
 STAGED = (sys.executable, "-m", "at_stage")  # as a module, like MAST: Python ends scripts differently
 RUN = ("run", "baseline", "--runtime", "inproc", "--frames", "12", "--no-report", "--out")
@@ -95,13 +96,8 @@ def test_a_signal_while_a_class_is_created_prints_one_line(out: Path, when: str)
     [
         ("loading", "SIGTERM", "signal before the run folder exists", (), (".",)),
         ("starting", "SIGHUP", "signal while nodes start", (), ("metrics.json",)),
-        *(
-            ("playing", name, "signal while the scene is played", ("metrics.json", "report.html"), ())
-            for name in ("SIGINT", "SIGTERM", "SIGHUP")
-        ),
-        ("playing", "SIGINT SIGINT", "second signal while the scene is played", (), ()),
+        ("playing", "SIGINT", "signal while the scene is played", ("metrics.json", "report.html"), ()),
         ("playing", "SIGHUP SIGTERM SIGINT", "second signal while the scene is played", (), ()),
-        ("collecting", "SIGTERM", "signal while results are collected", ("metrics.parquet",), ("report.html",)),
         ("collecting", "SIGINT SIGTERM", "signal while results are collected", ("metrics.parquet",), ("report.html",)),
         ("reporting", "SIGINT", "signal while the report is drawn", ("metrics.json",), ("report.html",)),
     ],
@@ -126,16 +122,14 @@ def test_a_signal_at_any_stage_ends_the_run_as_documented(
     ("stage", "case"),
     [
         ("loading", "launcher killed before the run folder exists"),
-        ("building", "launcher killed (SIGKILL)"),
         ("playing", "launcher killed (SIGKILL)"),
-        ("collecting", "launcher killed (SIGKILL)"),
         ("reporting", "launcher killed while the report is drawn"),
     ],
 )
 def test_a_launcher_killed_at_any_stage_leaves_a_readable_run_folder(out: Path, stage: str, case: str) -> None:
     FinishedCommand(out, at(stage, "SIGKILL", run=with_report())).assert_matches(ending(case))
     assert out.exists() == (stage != "loading")
-    if stage in ("playing", "collecting", "reporting"):
+    if stage != "loading":
         report = subprocess.run([*MAST, "report", str(out)], capture_output=True, text=True)
         assert report.returncode == 0, report.stderr
         assert (out / "report.html").is_file()
@@ -154,7 +148,7 @@ def test_a_run_under_nohup_survives_its_terminal(out: Path) -> None:
         ("stdout", "reader of standard output gone (`head -0`)"),
         ("stderr", "reader of standard error gone"),
         ("full", "standard output on a full disk (`> /dev/full`)"),
-        *((closed, "standard output or error closed (`>&-`)") for closed in ("1", "2", "0 1 2")),
+        *((closed, "standard output or error closed (`>&-`)") for closed in ("1", "0 1 2")),
     ],
 )
 def test_a_stream_that_takes_nothing_does_not_fail_the_run(out: Path, stream: str, case: str) -> None:
@@ -264,9 +258,9 @@ def test_a_path_that_the_locale_cannot_encode(tmp_path: Path, utf8: str) -> None
     assert (outcome.out / "report.html").is_file()
 
 
-def test_runs_that_end_at_random_times_match_the_table() -> None:
+def test_runs_that_end_at_random_times_match_the_table(fuzzing: Fuzzing) -> None:
     tool = Path(__file__).parents[2] / "tools" / "endings.py"
-    command = [sys.executable, str(tool), "--runs", "4", "--seed", "12", "--runtime", "inproc"]
+    command = [sys.executable, str(tool), "--runs", str(fuzzing.draws(2, 100)), "--seed", "12", "--runtime", "inproc"]
     process = subprocess.run(command, capture_output=True, text=True)
     assert process.returncode == 0, process.stdout + process.stderr
 

@@ -173,7 +173,7 @@ def refused(invalid: dict[str, list[Any]]) -> dict[str, int]:
 
 
 def test_each_malformed_control_message_is_refused_and_counted_once_per_receiver(begin, tmp_path, fuzzing) -> None:
-    total = TOTAL_LONG if fuzzing.long else TOTAL
+    total = fuzzing.draws(TOTAL, TOTAL_LONG)
     run = begin(2)
     run.started()
     sender = Sender(run, fuzzing.seed)

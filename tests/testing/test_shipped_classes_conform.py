@@ -31,7 +31,7 @@ from mast_zenoh.fusion import pipelines
 from mast_zenoh.testing import samples
 from mast_zenoh.testing.simulation import SimulatedWorld, explore
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.heavy, pytest.mark.long]
 
 #: Values of required parameters.
 NEEDED: dict[str, Any] = {

@@ -93,7 +93,7 @@ def flooded(resolved: Resolved, name: str, seed: int, *, waits: bool) -> Bench:
 @pytest.mark.parametrize("name", EVERYWHERE)
 def test_messages_of_all_kinds_are_counted_and_the_node_lives(name: str, waits: bool, fuzzing: Fuzzing) -> None:
     resolved, used = world(), 0
-    for seed in range(fuzzing.seed, fuzzing.seed + (300 if fuzzing.long else 3)):
+    for seed in range(fuzzing.seed, fuzzing.seed + fuzzing.draws(3, 300)):
         bench = flooded(resolved, name, seed, waits=waits)
         assert bench.host.failures == {}, seed
         counts = bench.host.finish()["outside"]
@@ -110,7 +110,7 @@ def test_detections_of_all_kinds_are_counted_and_the_agent_lives(fuzzing: Fuzzin
     ]
     monkeypatch.setitem(EVERYWHERE, "ego", topics)
     resolved = world(receives="detections", pose="Odometry")
-    for seed in range(fuzzing.seed, fuzzing.seed + (300 if fuzzing.long else 3)):
+    for seed in range(fuzzing.seed, fuzzing.seed + fuzzing.draws(3, 300)):
         bench = flooded(resolved, "ego", seed, waits=True)
         assert bench.host.failures == {}, seed
         assert len(bench.heard("agent/ego/tracks")) == FRAMES, "one message a frame"
@@ -119,7 +119,7 @@ def test_detections_of_all_kinds_are_counted_and_the_agent_lives(fuzzing: Fuzzin
 def test_bytes_of_all_kinds_are_a_message_or_refused(fuzzing: Fuzzing) -> None:
     random = np.random.default_rng(fuzzing.seed)
     refused = 0
-    for _ in range(20_000 if fuzzing.long else 60):
+    for _ in range(fuzzing.draws(60, 20_000)):
         for type_name in (type_store.TRACKED_OBJECTS, type_store.DETECTIONS, type_store.TF_MESSAGE):
             try:
                 type_store.decode(type_name, payload_of(type_name, random))

@@ -19,7 +19,7 @@ from mast_zenoh.mesh.security.credentials import ROUTER
 from mast_zenoh.mesh.security.levels import router_settings
 from mast_zenoh.runs.recorded import open_recorded
 
-pytestmark = pytest.mark.mesh
+pytestmark = [pytest.mark.mesh, pytest.mark.long]
 
 TOPICS: Mapping[str, str] = {
     "/clock": type_store.CLOCK,
