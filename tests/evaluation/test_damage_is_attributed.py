@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from played import Played, play
+from played import FRAMES, Played
 
 Once = Callable[..., Played]
 
@@ -106,15 +106,13 @@ def test_missed_objects_are_attributed_to_the_interposer_that_withholds_them(onc
         assert verdict["effects"][effect] > 10
 
 
-FRAMES = 80
 FILE = str(Path(__file__).with_name("altered_boxes.py"))
 
 
 @pytest.mark.parametrize("setting", ["length=2.0", "turn_rad=0.5"])
-def test_a_false_box_is_blamed_for_no_error_of_place_which_are_those_of_the_twin(tmp_path: Path, setting: str) -> None:
+def test_a_false_box_is_blamed_for_no_error_of_place_which_are_those_of_the_twin(once: Once, setting: str) -> None:
     apart = "scene.dense=False"  # in queues, boxes that nearly touch are grouped otherwise if one is longer
-    run = play(tmp_path / "run", FILE, apart, setting, frames=FRAMES)
-    twin = play(tmp_path / "twin", FILE, apart, frames=FRAMES)
+    run, twin = once(FILE, apart, setting), once(FILE, apart)
     assert (run.table("attacks")["effect"] == "altered").sum() > FRAMES
     assert run.metrics["interposers"]["mallory"]["effects"].keys() == {"altered"}
     assert run.metrics["interposers"]["mallory"]["agreement"] == "agrees"
@@ -124,7 +122,7 @@ def test_a_false_box_is_blamed_for_no_error_of_place_which_are_those_of_the_twin
     assert not (run.table("objects")["cause"] == "altered").any()
 
 
-def test_false_velocities_are_blamed_for_nothing_in_the_tracks_that_carry_them(tmp_path: Path) -> None:
-    objects = play(tmp_path / "run", FILE, "velocity=2.0", frames=FRAMES).table("objects")
+def test_false_velocities_are_blamed_for_nothing_in_the_tracks_that_carry_them(once: Once) -> None:
+    objects = once(FILE, "velocity=2.0").table("objects")
     blamed = objects["cause"] == "altered"
     assert not (blamed & (objects["estimator"] == "received")).any()

@@ -9,16 +9,25 @@ import pytest
 from played import play
 
 from mast_zenoh import scenario
-from mast_zenoh.evaluation import Evaluation, RunData, RunScoring
+from mast_zenoh.evaluation import Evaluation, RunData, RunScoring, run_scoring
 from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.metrics.manipulations import KINDS
 
-FRAMES = 420
+FRAMES = 240
 #: Means over blocks instead of the run; and what several blocks have of every series instead of the distinct ones.
 OF_BLOCKS = {"amota", "samota", "amotp_m", "consistency"}
 
 Tables = Mapping[str, Mapping[str, np.ndarray]]
 Results = tuple[Tables, dict[str, Any]]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def messages_come_soon() -> Iterator[None]:
+    """Blocks end sooner, as nothing is late here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_scoring, "LATEST_S", 1.0)
+        patch.setattr(run_scoring, "BETWEEN_KEYS", 6)
+        yield
 
 
 def scored(name: str, *settings: str, frames: int) -> tuple[Results, Results]:
@@ -52,7 +61,7 @@ def in_blocks(evaluation: Evaluation, data: RunData, frames: int) -> Results:
 @pytest.fixture(scope="module")
 def run() -> tuple[Results, Results]:
     """A run in which an attack begins in a later block than the first."""
-    return scored("defended", "defence=FaultOrLie", "attack_start_s=9.0", frames=FRAMES)
+    return scored("defended", "defence=FaultOrLie", "attack_start_s=9.0", "n_infrastructure=3", frames=FRAMES)
 
 
 @pytest.mark.parametrize("table", ["metrics", "attacks", "trust", "trust_objects"])
@@ -96,11 +105,11 @@ def test_the_summary_is_that_of_the_whole(run: tuple[Results, Results]) -> None:
         for estimate, expected in estimates.items():
             found = blocks["agents"][agent][estimate]
             for name in ("amota", "samota"):
-                assert found[name] == pytest.approx(expected[name], abs=0.02), (agent, estimate, name)
+                assert found[name] == pytest.approx(expected[name], abs=0.05), (agent, estimate, name)
 
 
 def test_what_happened_to_a_driven_car_is_told_as_in_the_whole() -> None:
-    (blocks, metrics), (whole, expected) = scored("driving", frames=400)
+    (blocks, metrics), (whole, expected) = scored("driving", "n_infrastructure=2", frames=FRAMES)
     assert rows(blocks["driven"]) == rows(whole["driven"])
     assert list(different(metrics["driven"], expected["driven"])) == []
 
@@ -115,10 +124,10 @@ def test_a_run_that_is_longer_than_a_block_keeps_no_more_messages(tmp_path, monk
 
     monkeypatch.setattr(RunScoring, "WHOLE", (60, 60, 0))
     monkeypatch.setattr(RunScoring, "results", noting)
-    run = play(tmp_path, "baseline", "n_infrastructure=1", frames=430)
+    run = play(tmp_path, "baseline", "n_infrastructure=1", frames=290)
     assert kept[0] >= 180 - 150, "of three blocks, all but the last 15 s are forgotten"
-    assert kept[-1] == 429
-    assert sorted(set(run.table("objects")["frame"].tolist())) == list(range(430))
+    assert kept[-1] == 289
+    assert sorted(set(run.table("objects")["frame"].tolist())) == list(range(290))
 
 
 def rows(table: Mapping[str, np.ndarray]) -> list[str]:
