@@ -18,8 +18,9 @@ from hypothesis import HealthCheck, settings
 from launched import Launched
 
 # The duration of an example depends on the machine, not on the code.
-settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("untimed")
+settings.register_profile("quick", deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("fuzz", settings.get_profile("quick"), max_examples=1000)
+settings.load_profile("quick")
 
 # Under nohup all commands would inherit that hangups are ignored.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
@@ -31,7 +32,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Have the plugins of this checkout found that are on the path but not installed, also by child processes."""
+    """Have the plugins of this checkout found that are on the path but not installed, also by child processes.
+
+    With `--fuzz`, tests of properties try more examples.
+    """
+    if config.getoption("fuzz"):
+        settings.load_profile("fuzz")
     folder = tempfile.TemporaryDirectory(prefix="mast-plugins-")
     config.add_cleanup(folder.cleanup)
     for file in Path(__file__).parent.glob("plugins/*/pyproject.toml"):

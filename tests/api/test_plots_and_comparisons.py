@@ -51,13 +51,13 @@ def test_one_metric_of_two_runs_over_time_is_one_chart_with_two_lines(
 
 
 def test_unknown_or_empty_series_are_refused(attacked: mast.Run) -> None:
-    with pytest.raises(ConfigurationError, match="did you mean 'fp'"):
+    with pytest.raises(ConfigurationError, match="mean 'fp'"):
         attacked.plot.over_time("fpp")
-    with pytest.raises(ConfigurationError, match="did you mean 'mission'"):
+    with pytest.raises(ConfigurationError, match="mean 'mission'"):
         attacked.plot.over_time("fp", estimate="misson")
-    with pytest.raises(RunFolderError, match="found frame 99, expected one of 0 to 59"):
+    with pytest.raises(RunFolderError, match=r"frame 99.*0"):
         attacked.plot.birdseye(frame=99)
-    with pytest.raises(RunFolderError, match="runs with links or faults"):
+    with pytest.raises(RunFolderError, match=r"runs.*links.*faults"):
         attacked.plot.causes()
 
 
@@ -69,7 +69,7 @@ def test_a_comparison_lists_the_scores_and_differences_of_both_runs(attacked: ma
     assert false["change"] == pytest.approx(false["mean"] - rows["fp", "baseline", "picture"]["mean"])
     assert false["change"] > 0.5
     assert comparison.headline.startswith("uncoordinated: ")
-    assert "more false objects a frame in the common picture than baseline" in comparison.headline
+    assert "more false objects" in comparison.headline
     assert "(+" in str(comparison)
     assert comparison.headline in str(comparison)
     assert "false (FP)" in comparison._repr_html_()

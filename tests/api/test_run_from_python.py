@@ -56,17 +56,17 @@ def test_a_dotted_keyword_sets_a_value_of_the_run_and_not_of_the_dict(tmp_path: 
 @pytest.mark.parametrize(
     ("scenario", "options", "words"),
     [
-        ("uncoordinated", dict(n_adversary=1), "did you mean 'n_adversaries'?"),
-        ("uncoordinated", dict(frame=1), "did you mean 'frames'?"),
-        ("uncoordinated", dict(n_adversaries="two"), "expected int as in 2"),
-        ("uncordinated", {}, "did you mean 'uncoordinated.py'?"),
-        (dict(scene="intersection"), dict(n_adversaries=1), "scenario: n_adversaries: no such parameter"),
-        (dict(scen="intersection"), {}, "did you mean 'scene'?"),
-        (3, {}, "expected a name, a file, a dict or a function"),
+        ("uncoordinated", dict(n_adversary=1), "mean 'n_adversaries'?"),
+        ("uncoordinated", dict(frame=1), "mean 'frames'?"),
+        ("uncoordinated", dict(n_adversaries="two"), "expected int"),
+        ("uncordinated", {}, "mean 'uncoordinated.py'?"),
+        (dict(scene="intersection"), dict(n_adversaries=1), "scenario: n_adversaries: no"),
+        (dict(scen="intersection"), {}, "mean 'scene'?"),
+        (3, {}, "file, a dict"),
         (lambda: 3, {}, "expected a dict"),
-        ("baseline", dict(mode="realtime"), "realtime needs the mesh"),
+        ("baseline", dict(mode="realtime"), "realtime needs"),
         ("baseline", dict(secure="tls"), "runtime='mesh'"),
-        ("baseline", dict(runtime="cloud"), "expected inproc or mesh"),
+        ("baseline", dict(runtime="cloud"), "inproc or mesh"),
         ("baseline", dict(runtime="mesh", secure="tls", endpoint="tcp/127.0.0.1:1"), "own router"),
     ],
 )
@@ -96,7 +96,7 @@ def test_an_interrupted_run_names_its_folder_and_no_option(tmp_path: Path, monke
     with pytest.raises(Interrupted) as stopped:
         mast.run("baseline", frames=4, out=tmp_path / "run", **SMALL)
     (note,) = stopped.value.__notes__
-    assert note == f"The results so far are in {tmp_path / 'run'}: read them with mast_zenoh.open(\u2026)"
+    assert f"{tmp_path / 'run'}: read" in note
 
 
 @pytest.mark.mesh

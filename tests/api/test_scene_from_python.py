@@ -50,7 +50,7 @@ def test_the_scene_of_a_run_folder_is_read(run: mast.Run) -> None:
     scene = mast.scene(run.path / "scene.npz")
     assert scene.truth.slice(0, run.truth.num_rows).equals(run.truth)
     assert repr(scene).startswith("<Scene intersection-0: ")
-    with pytest.raises(ConfigurationError, match=r"scene.npz: is recorded already: found seed, expected nothing else"):
+    with pytest.raises(ConfigurationError, match=r"scene.npz.*recorded already"):
         mast.scene(run.path / "scene.npz", seed=3)
     with pytest.raises(SceneError):
         mast.scene(run.path / "nosuch.npz")
@@ -68,14 +68,14 @@ def test_a_scene_is_given_by_name_or_by_dict(file: Path) -> None:
 @pytest.mark.parametrize(
     ("scene", "parameters", "message"),
     [
-        ("intersectoin", {}, "unknown name 'intersectoin', expected .*; did you mean 'intersection'"),
-        ("intersection", dict(n_infrastructur=1), "Intersection has no parameter 'n_infrastructur'; did you mean"),
-        (dict(type="Nowhere"), {}, "no Scene named 'Nowhere'"),
-        ("nosuch.py", {}, "nosuch.py: no such file"),
+        ("intersectoin", {}, r"unknown.*'intersectoin'.*'intersection'"),
+        ("intersection", dict(n_infrastructur=1), r"Intersection.*parameter 'n_infrastructur'"),
+        (dict(type="Nowhere"), {}, "Scene named 'Nowhere'"),
+        ("nosuch.py", {}, r"nosuch.py: no.*file"),
     ],
 )
 def test_anything_but_a_scene_is_refused(scene: Any, parameters: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         mast.scene(scene, **parameters)
-    with pytest.raises(ConfigurationError, match=r"intersection-0: no agent 'eg' in this scene; did you mean 'ego'"):
+    with pytest.raises(ConfigurationError, match=r"intersection-0.*'eg'.*'ego'"):
         mast.scene(frames=1).agent("eg")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates, canonical_order, row_order
 
 
-@settings(max_examples=100)
 @given(keys=st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3), st.integers(0, 2)), max_size=8))
 def test_few_rows_are_ordered_like_a_full_sort(keys: list[tuple[int, int, int]]) -> None:
     group, id_, tie = np.array(keys, np.int64).reshape(-1, 3).T

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from attack_worlds import at, equal, world
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates
@@ -85,8 +85,8 @@ def test_an_attack_can_change_sizes_headings_and_velocities_of_rows():
 @pytest.mark.parametrize(
     ("rows", "wrong"),
     [
-        (dict(change=[0, 1], claims=world(3)), "claims: found 3 states, expected 2"),
-        (dict(hide=[1], move=[1]), r"found the rows \[1, 1\], expected each row once"),
+        (dict(change=[0, 1], claims=world(3)), r"claims.*3 states"),
+        (dict(hide=[1], move=[1]), r"rows \[1, 1\]"),
     ],
 )
 def test_rows_that_do_not_fit_each_other_are_refused(rows, wrong):
@@ -94,7 +94,6 @@ def test_rows_that_do_not_fit_each_other_are_refused(rows, wrong):
         alter(world(5), **rows)
 
 
-@settings(max_examples=50)
 @given(st.integers(2, 15), st.randoms(use_true_random=False))
 def test_targets_refer_to_the_same_rows_in_any_order(n, random):
     message = world(n, seed=n)

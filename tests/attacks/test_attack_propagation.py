@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from attack_worlds import at, world
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.geometry import wrap_angle
@@ -31,7 +31,6 @@ def test_a_trajectory_is_straight_and_then_brakes_to_a_stop():
     assert states.yaw[0] == pytest.approx(np.arctan2(-4.0, 3.0))
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     st.sampled_from([TrajectoryPropagation(duration_s=1.0), MarkovPropagation(sigma_mps2=20.0), StaticPropagation()]),
     st.integers(0, 1000),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from attack_worlds import ORIGIN, at, coverage_of, equal, world
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates, concatenate
@@ -102,7 +102,6 @@ def test_the_hidden_fraction_does_not_affect_false_objects():
     assert equal(few.add, many.add)
 
 
-@settings(max_examples=50)
 @given(st.integers(0, 12), st.randoms(use_true_random=False))
 def test_the_order_of_the_objects_does_not_matter(n, random):
     order = list(range(n))
@@ -124,7 +123,6 @@ def test_observations_of_one_object_by_several_adversaries_are_one_cluster():
     assert sorted(map(tuple, clusters.position[:, :2])) == [(0.5, 0.0), (50.0, 1.0), (90.0, 0.0)]
 
 
-@settings(max_examples=50)
 @given(st.integers(0, 25), st.integers(1, 4), st.randoms(use_true_random=False))
 def test_clusters_do_not_depend_on_the_order_of_the_tracks(n, sources, random):
     objects, source = world(n, seed=n, spread=8.0), np.arange(n) % sources

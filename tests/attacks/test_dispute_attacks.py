@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from attack_worlds import at, world
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from plaza import PERIOD, Played, honest_in_range, plaza, trust_in, within
 
@@ -98,7 +98,6 @@ def views(known: Surroundings, names: tuple[str, ...], time_s: float = 0.0) -> t
     return tuple(known.sensors[name].view(*known.sensors[name].route.at(time_s)) for name in names)
 
 
-@settings(max_examples=80, deadline=None)
 @given(st.integers(0, 10_000), st.integers(0, 3), st.integers(1, 40), st.floats(0.0, 50.0))
 def test_only_what_two_liars_and_few_honest_agents_see_is_hidden(seed, witnesses, n, time_s):
     objects = world(n, seed, spread=40.0)

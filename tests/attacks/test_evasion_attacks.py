@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from attack_worlds import at, world
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from plaza import Played, plaza, trust_in, within
 
@@ -31,7 +31,6 @@ def shifts(attack: PosePert, objects: ObjectStates, frames: int = 40) -> list[np
     return [report.after_position - report.before_position for report in reports]
 
 
-@settings(max_examples=25, deadline=None)
 @given(st.floats(0.01, 0.999), st.sampled_from(DIRECTIONS), st.floats(0.1, 3.0))
 def test_a_shift_grows_to_its_size_and_stays_below_a_metre(offset_m, direction, rise_s):
     attack = PosePert(offset_m=offset_m, direction=direction, rise_s=rise_s, start_s=0.5)
@@ -148,7 +147,6 @@ def lying(attack: PretendBenign, frames: int, trust: Any = None, known: Surround
     return result
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.floats(0.3, 8.0), st.floats(0.05, 0.8))
 def test_bursts_are_as_short_and_pauses_as_long_as_the_memory_asks(memory_s: float, duty: float) -> None:
     lies = np.array(lying(PretendBenign(attack=HideAll(), memory_s=memory_s, duty=duty, start_s=1.0), 400))

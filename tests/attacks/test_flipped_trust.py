@@ -96,7 +96,7 @@ def test_the_ego_is_compromised_only_if_it_is_named() -> None:
     _, content = scenario.load_values("defended", dict(attack="PosePert"))
     assert [each["agent"] for each in content["adversaries"].values()] == ["infra_1", "infra_2"]
     assert victims_of("intersection", 4) == ("infra_1", "infra_2", "infra_3", "infra_4")
-    with pytest.raises(ConfigurationError, match=r"compromised: no agent 'egos'.*ego"):
+    with pytest.raises(ConfigurationError, match=r"compromised.*agent 'egos'"):
         victims_of("intersection", 1, ["egos"])
 
 
@@ -105,7 +105,7 @@ def test_the_number_of_adversaries_counts_the_ego_if_it_is_compromised(name: str
     _, content = scenario.load(name, n_adversaries=5, compromised="ego")
     agents = [adversary["agent"] for adversary in content["adversaries"].values()]
     assert agents == ["ego", "infra_1", "infra_2", "infra_3", "infra_4"]
-    with pytest.raises(ConfigurationError, match="n_adversaries: found 6, expected 0 to 5: ego, infra_1"):
+    with pytest.raises(ConfigurationError, match=r"n_adversaries.*5.*infra_1"):
         scenario.load(name, n_adversaries=6, compromised="ego")
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from attack_worlds import SECOND, world
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.attacks import Surroundings
@@ -21,7 +21,6 @@ def flooded(attack: Flood, n: int):
     return attack.step(50, 5 * SECOND, world(n), ORIGIN)
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(1, 400), st.integers(0, 90))
 def test_a_message_has_the_rows_that_were_asked_for_with_ids_of_their_own(rows: int, n: int) -> None:
     done, own = flooded(Flood(rows=rows), n), world(n)

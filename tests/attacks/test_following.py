@@ -2,7 +2,7 @@
 
 import numpy as np
 from attack_worlds import SECOND, at, world
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates, canonical_order
@@ -70,7 +70,6 @@ def test_a_lost_target_never_takes_an_object_that_was_distinct_from_it_before():
                 assert rows[order[row[0]]] == index
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.integers(0, 1000), st.booleans())
 def test_targets_are_located_at_distinct_objects(seed, with_ids):
     rng = np.random.default_rng(seed)

@@ -2,7 +2,7 @@
 
 import numpy as np
 from attack_worlds import at, equal
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
@@ -39,7 +39,6 @@ def cars(*each: tuple[float, float, float]) -> ObjectStates:
 
 
 @given(places, st.sampled_from([0.0, 0.4]))
-@settings(max_examples=60, deadline=None)
 def test_an_invented_object_is_not_seen_through_and_a_hidden_one_is(place, pitch: float) -> None:
     car = cars(place)
     empty = swept_view(pitch=pitch)
@@ -52,7 +51,6 @@ def test_an_invented_object_is_not_seen_through_and_a_hidden_one_is(place, pitch
 
 
 @given(places)
-@settings(max_examples=30, deadline=None)
 def test_only_directions_towards_the_object_change(place) -> None:
     car, view = cars(place), swept_view()
     claimed = blocked(view, car)
@@ -85,7 +83,6 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None)
 def test_no_boxes_and_no_grid_break_the_forging_of_a_view(data: st.DataObject) -> None:
     free = data.draw(arrays.arrays(np.float64, st.tuples(st.integers(0, 4), st.integers(0, 9)), elements=anything))
     n = data.draw(st.integers(0, 3))

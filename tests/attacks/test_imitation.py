@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from attack_worlds import ORIGIN, SECOND, at, coverage_of
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates, canonical_order
@@ -101,7 +101,6 @@ def test_false_tracks_do_not_flicker_or_jitter():
     assert steps.std() < 0.35 * errors.std()
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000))
 def test_a_false_object_inside_a_real_one_is_withheld(seed):
     rng = np.random.default_rng(seed)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from attack_worlds import at
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates, concatenate
@@ -52,7 +52,6 @@ def false_objects(region: str, seed: int, where: Coverage, n: float = 6.0) -> Ob
     return selection.select(TRAFFIC, where, stream(seed)).add
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     st.sampled_from(["in_view", "ego_path", "victim_only", "few_witnesses", "many_witnesses", "unseen_by_ego"]),
     st.integers(0, 10_000),
@@ -67,7 +66,6 @@ def test_false_objects_are_in_view_and_never_in_a_building_or_another_object(reg
         assert not touching(false.select(slice(k, k + 1)), false.select(np.arange(len(false)) != k)).any()
 
 
-@settings(max_examples=25, deadline=None)
 @given(st.sampled_from(["in_view", "victim_only"]), st.integers(0, 10_000))
 @example("victim_only", 2046)  # placed less than a millimetre in front of a wall
 def test_paths_of_false_objects_end_before_buildings(region, seed):

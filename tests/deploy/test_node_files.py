@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh import scenario
@@ -63,14 +63,13 @@ class Launcher(FileClient):
         return files.LauncherTime(time.time_ns()) if is_clock else files.NodeFiles({self.path: 0}, [])
 
 
-@settings(deadline=None)
 @given(st.text(st.sampled_from("./ab~\\"), min_size=1, max_size=12))
 def test_file_names_cannot_escape_the_folder(name: str) -> None:
     with tempfile.TemporaryDirectory() as around:
         folder = Path(around) / "a" / "b" / "folder"
         folder.mkdir(parents=True)
         if Path(name).is_absolute():
-            with pytest.raises(RunError, match="leads outside the run folder"):
+            with pytest.raises(RunError, match=r"leads outside.*folder"):
                 Launcher(name).fetch(folder, 1.0)
         with suppress(RunError, IsADirectoryError):
             Launcher(name).fetch(folder, 1.0)

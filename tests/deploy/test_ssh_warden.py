@@ -117,7 +117,7 @@ def test_a_repeated_command_is_executed_once(serve) -> None:
     first.close()  # the answer may have been lost
     again = Attached(first.folder)
     assert started(again, "ego") == pid
-    assert again.request("another", "start", name="ego", argv=["true"], env={})["error"] == "ego is already running"
+    assert "already running" in again.request("another", "start", name="ego", argv=["true"], env={})["error"]
     assert "error" in again.request("none", "start", name="other", argv=["/does/not/exist"], env={})
     again.request("leave", "leave", grace_s=10.0)
     assert again.wait_until_closed()

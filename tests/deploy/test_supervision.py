@@ -78,7 +78,7 @@ def test_a_killed_router_container_is_named_instead_of_a_node(containers: Contai
     end(codes, "router", 137)
     end(codes, "command_center", 3)  # nodes exit when they have been without a launcher for a while
     eventually(lambda: not runs(containers), "the router's end is noticed", 30.0)
-    with pytest.raises(EngineError, match=r"the router has ended: killed by signal 9 .*; see logs/router\.log"):
+    with pytest.raises(EngineError, match=r"router.*ended.*logs/router\.log"):
         containers.running()
     end(codes, "broker", 143)
     containers.end(30.0)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from mast_zenoh.driving.braking import Belief, Commands, brakes_of, missed_brakes, spans
@@ -231,7 +231,6 @@ def test_what_the_car_does_not_meet_is_no_reason_for_a_brake(place, velocity):
     assert (brake["cause"]["kind"], brake["needless"]) == ("none", True)
 
 
-@settings(max_examples=40)
 @example(x=21.0, y=-12.0, vx=1.0, vy=4.0)  # it crosses, and goes along a little
 @given(x=st.floats(15.0, 45.0), y=st.floats(-30.0, 30.0), vx=st.floats(-8.0, 8.0), vy=st.floats(-8.0, 8.0))
 def test_what_would_be_hit_ahead_of_the_car_at_constant_velocities_crosses_or_is_in_the_corridor(x, y, vx, vy):

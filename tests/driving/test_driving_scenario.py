@@ -53,19 +53,19 @@ def test_an_unknown_wire_names_the_nearest() -> None:
 @pytest.mark.parametrize(
     ("settings", "wrong"),
     [
-        (["cars=0"], "cars: found 0, expected 1 or more"),
-        (["wire=command"], "wire: found 'command', expected nothing: it needs an attack"),
-        (["n_adversaries=5"], "n_adversaries: found 5, expected nothing: it needs an attack"),
-        (["attack=cut_in", "n_adversaries=5"], "n_adversaries: found 5, .* needs wire=tracks, not picture"),
-        (["attack=cut_in", 'compromised=["infra_1"]'], r"compromised: found \['infra_1'\], .* needs wire=tracks"),
-        (["attack=cut_in", "compromised=infra_1"], r"compromised: found \['infra_1'\], .* needs wire=tracks"),
+        (["cars=0"], r"cars.*0.*1"),
+        (["wire=command"], r"wire.*'command'.*nothing"),
+        (["n_adversaries=5"], r"n_adversaries.*5.*nothing"),
+        (["attack=cut_in", "n_adversaries=5"], r"n_adversaries.*5.*wire=tracks"),
+        (["attack=cut_in", 'compromised=["infra_1"]'], r"compromised.*\['infra_1'\].*wire=tracks"),
+        (["attack=cut_in", "compromised=infra_1"], r"compromised.*\['infra_1'\].*wire=tracks"),
         (
             ["attack=cut_in", "wire=tracks picture"],
-            "wire: found 'tracks', expected tracks alone, or one or more of pic",
+            r"wire.*'tracks'.*tracks",
         ),
         (
             ["attack=cut_in", "wire=tracks", "n_adversaries=1", 'compromised=["infra_1", "infra_2"]'],
-            "n_adversaries: found 1, expected 2",
+            r"n_adversaries.*1.*2",
         ),
     ],
 )
@@ -95,8 +95,8 @@ def test_a_driver_is_judged_by_the_age_of_estimates_that_it_uses() -> None:
 @pytest.mark.parametrize(
     ("setting", "wrong"),
     [
-        ("scene.rate_hz=4.9", r"drivers: found a scene of 4\.9 Hz, expected 5 Hz or more"),
-        ("drivers.ego.estimate_age_s=0.05", r"drivers\.ego\.estimate_age_s: found 0\.05, expected 0\.1 or more"),
+        ("scene.rate_hz=4.9", r"drivers.*scene.*Hz"),
+        ("drivers.ego.estimate_age_s=0.05", r"drivers\.ego\.estimate_age_s.*0\.05.*0\.1"),
     ],
 )
 def test_a_scene_too_slow_for_drivers_and_a_driver_that_is_always_blind_are_refused(setting: str, wrong: str) -> None:
@@ -126,9 +126,7 @@ def test_a_driver_knows_what_its_car_can_do_unless_it_believes_less() -> None:
 @pytest.mark.parametrize(("world", "driver"), [(dict(limits=dict(braking=5.0)), dict()), ({}, dict(braking=9.5))])
 def test_a_driver_that_believes_its_car_can_do_more_than_it_can_is_refused(world: dict, driver: dict) -> None:
     limits = dict(type="CarLimits") | driver
-    with pytest.raises(
-        ConfigurationError, match=r"drivers\.ego\.limits\.braking: found 9(\.5)?, expected at most [59],"
-    ):
+    with pytest.raises(ConfigurationError, match=r"drivers\.ego\.limits\.braking.*9(\.5)?.*[59]"):
         limits_of_driver(world, dict(limits=limits))
 
 

@@ -43,7 +43,7 @@ def test_a_collision_is_a_time_of_zero() -> None:
     assert post_encroachment_s(own, objects(crossing(10.0, 20.0, 20.0)), PERIOD_S) == 0.0
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.floats(2.0, 15.0), st.floats(2.0, 15.0), st.floats(0.0, 40.0), st.floats(0.7, 2.4))
 def test_it_agrees_with_all_pairs_of_outlines(own_mps: float, mps: float, start: float, yaw: float) -> None:
     own, rows = car(eastward(own_mps), [own_mps] * FRAMES), crossing(mps, 15.0, start, yaw)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import savgol_filter
 
@@ -190,7 +190,6 @@ def test_near_misses_are_objects_that_were_not_hit() -> None:
     assert of(car([0.0, 0.1], [1.0, 1.0]), close, [4])["near_misses"] == 0
 
 
-@settings(max_examples=25)
 @given(st.lists(st.tuples(st.floats(0, 20), st.floats(-3, 3)), min_size=20, max_size=40))
 def test_uncomfortable_times_are_those_of_differences_smoothed_by_scipy(rows: list) -> None:
     speed, heading = np.array(rows).T

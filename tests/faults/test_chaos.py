@@ -82,7 +82,7 @@ def test_a_failing_schedule_prints_a_command_that_replays_it(tmp_path: Path, mon
     monkeypatch.setattr(convergence, "THRESHOLD_M", 0.0)
     with pytest.raises(pytest.fail.Exception) as failed:
         played(tmp_path / "failed", 17, "inproc")
-    assert "convergence: the picture has not converged" in str(failed.value)
+    assert "convergence: the picture" in str(failed.value)
     *_, replay = str(failed.value).splitlines()
     assert replay == "replay: mast run chaos --set chaos_seed=17 --runtime inproc"
     _, *words = shlex.split(replay.removeprefix("replay: "))

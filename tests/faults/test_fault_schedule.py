@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.config import registry
@@ -18,7 +18,6 @@ KINDS = {
 }
 
 
-@settings(max_examples=200)
 @given(st.integers(0, 2**31), st.floats(2.0, 20.0), st.integers(1, 12), st.booleans())
 def test_every_schedule_is_feasible_and_heals_in_time(seed, duration_s, max_faults, lockstep) -> None:
     specs = random_schedule(seed, duration_s, AGENTS, servers=SERVERS, settle_s=1.0, max_faults=max_faults)
@@ -60,7 +59,7 @@ def test_only_the_configured_servers_are_targets() -> None:
 
 
 def test_a_run_that_is_too_short_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"duration_s: found 2.0, expected 2.25 or more"):
+    with pytest.raises(ValueError, match=r"duration_s.*2.0.*2.25"):
         random_schedule(0, 2.0, AGENTS)
-    with pytest.raises(ValueError, match="no fault 'Los'; did you mean 'Loss'"):
+    with pytest.raises(ValueError, match=r"fault 'Los'.*'Loss'"):
         random_schedule(0, 6.0, AGENTS, kinds=["Los"])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from tracked_objects import INVALID_COVARIANCES, MATURE, cars, centre, nanoseconds
 
@@ -194,7 +194,6 @@ covariances = st.sampled_from(
 )
 
 
-@settings(max_examples=60)
 @given(st.lists(covariances, min_size=1, max_size=6))
 def test_no_direction_of_a_state_is_more_certain_than_the_floor(each):
     states = ObjectStates.of(np.zeros((len(each), 3)), covariance=np.array(each))
@@ -210,7 +209,6 @@ def test_no_direction_of_a_state_is_more_certain_than_the_floor(each):
             assert after.tobytes() == before.tobytes()
 
 
-@settings(max_examples=25, deadline=None)
 @given(st.randoms(use_true_random=False))
 def test_the_order_of_tracks_and_agents_does_not_matter(random):
     check, other = CheckedCovariances(), CheckedCovariances()

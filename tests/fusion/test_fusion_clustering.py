@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays import matching
@@ -29,7 +29,6 @@ def states(rows: list[tuple[float, float, int]]) -> tuple[ObjectStates, np.ndarr
     return ObjectStates.of(position, id=ids), agent
 
 
-@settings(max_examples=200)
 @given(tracks, clusterers, st.randoms(use_true_random=False))
 def test_clusters_have_one_track_of_an_agent_are_numbered_by_their_first_and_do_not_depend_on_the_order(
     rows, clusterer, random
@@ -76,7 +75,6 @@ def nearest_first(objects: ObjectStates, agent: np.ndarray, radius: float) -> li
     return sorted(({int(order[row]) for row in one} for one in clusters), key=min)
 
 
-@settings(max_examples=150)
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 4), st.integers(0, 4)), max_size=14))
 def test_pairs_are_joined_nearest_first(rows):
     objects, agent = states(rows)
@@ -108,7 +106,6 @@ def test_an_invalid_radius_is_refused():
         DBSCANClusterer(eps=-1.0)
 
 
-@settings(max_examples=150)
 @given(
     st.lists(st.tuples(st.integers(-6, 6), st.integers(-3, 3), st.integers(0, 4)), max_size=25),
     st.sampled_from([0.0, 0.05, 0.3]),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
@@ -78,7 +78,6 @@ def least_log_volume(information: np.ndarray) -> float:
     return min(search(start) for start in (np.full(n, 1.0 / n), *(0.1 / n + 0.9 * np.eye(n))))
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(st.integers(2, 6), st.integers(0, 10**6), st.booleans()), min_size=1, max_size=4))
 def test_optimised_weights_give_a_volume_within_one_percent_of_the_least(clusters):
     """ln det is at most 0.01 above its optimum, for members alike and members of very different certainty."""
@@ -114,7 +113,6 @@ def test_optimised_weights_do_not_depend_on_units():
     np.testing.assert_allclose(1e3 * fused.position, other.position, rtol=1e-6)
 
 
-@settings(max_examples=60)
 @given(st.integers(2, 5), st.integers(0, 1000), st.sampled_from(["uniform", "optimised"]))
 def test_the_covariance_is_conservative_even_if_all_errors_are_shared(n, seed, weights):
     some = members(n, seed)
@@ -127,7 +125,6 @@ def test_the_covariance_is_conservative_even_if_all_errors_are_shared(n, seed, w
     assert e @ np.linalg.solve(fused, e) <= 1.0 + 1e-9
 
 
-@settings(max_examples=60)
 @given(st.integers(1, 12), st.integers(0, 1000), st.sampled_from(FUSIONS), st.booleans())
 def test_the_order_of_members_does_not_matter(n, seed, fusion, trusted):
     random = np.random.default_rng(seed)
@@ -188,7 +185,6 @@ def test_inverse_covariance_intersection_equals_the_equations_of_its_paper():
     np.testing.assert_allclose(fused.velocity[0], mean[6:], atol=1e-9)
 
 
-@settings(max_examples=60)
 @given(st.integers(2, 8), st.integers(0, 10**6))
 def test_uniform_inverse_intersection_is_never_less_certain_than_covariance_intersection(n, seed):
     some = members(n, seed)
@@ -197,7 +193,6 @@ def test_uniform_inverse_intersection_is_never_less_certain_than_covariance_inte
     assert np.linalg.eigvalsh(root @ fused @ root.T).max() <= 1.0 + 1e-9
 
 
-@settings(max_examples=60)
 @given(st.integers(0, 10**6))
 def test_the_optimised_inverse_intersection_has_a_volume_within_one_percent_of_the_least(seed):
     pair = members(2, seed)
@@ -210,7 +205,6 @@ def test_the_optimised_inverse_intersection_has_a_volume_within_one_percent_of_t
     assert np.linalg.slogdet(fused.covariance[0])[1] <= least + 0.01
 
 
-@settings(max_examples=60)
 @given(st.integers(2, 6), st.integers(0, 10**6), st.sampled_from(["uniform", "optimised"]))
 def test_inverse_intersection_is_positive_definite_and_between_the_naive_and_the_best_member(n, seed, weights):
     some = members(n, seed)

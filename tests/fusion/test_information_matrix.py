@@ -199,5 +199,5 @@ def test_a_flood_of_tracks_with_new_ids_is_not_remembered(monkeypatch: pytest.Mo
 
 
 def test_a_tracker_with_several_motion_models_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"tracker: found InteractingModelsTracker3D, expected .* KalmanBoxTracker3D"):
+    with pytest.raises(ValueError, match=r"tracker.*InteractingModelsTracker3D.*KalmanBoxTracker3D"):
         InformationMatrixGroupTracker(fusion=CI(), tracker=InteractingModelsTracker3D())

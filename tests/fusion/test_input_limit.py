@@ -1,7 +1,7 @@
 """Limits on the rows that fusion gets: no agent displaces the rows of others, or objects that were there before."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.fusion.input_limit import ClaimedObjects, FairInput, InputLimit, NoInputLimit, fair_shares
@@ -128,7 +128,6 @@ FRAMES = st.lists(st.dictionaries(st.integers(0, 4), OBJECTS, max_size=5), min_s
 
 
 @given(frames=FRAMES, rows=st.integers(1, 40), reserve=st.floats(0.0, 1.0))
-@settings(max_examples=200)
 def test_the_limit_is_never_exceeded_and_up_to_it_all_is_kept(frames: list[Frame], rows: int, reserve: float) -> None:
     limit = FairInput(rows=rows, reserve=reserve)
     for frame in frames:
@@ -138,7 +137,6 @@ def test_the_limit_is_never_exceeded_and_up_to_it_all_is_kept(frames: list[Frame
 
 
 @given(frames=FRAMES, rows=st.integers(1, 40), seed=st.integers(0, 100))
-@settings(max_examples=200)
 def test_the_selection_does_not_depend_on_the_order_of_rows(frames: list[Frame], rows: int, seed: int) -> None:
     plain, shuffled = FairInput(rows=rows), FairInput(rows=rows)
     rng = np.random.default_rng(seed)
@@ -152,7 +150,6 @@ def test_the_selection_does_not_depend_on_the_order_of_rows(frames: list[Frame],
 
 
 @given(frames=FRAMES, rows=st.integers(5, 40), flood=st.integers(1, 200), score=st.floats(0.0, 1.0))
-@settings(max_examples=200)
 def test_a_flooding_agent_never_costs_an_agent_within_its_share_a_row(frames, rows, flood, score):
     limit = FairInput(rows=rows)
     for number, frame in enumerate(frames):
@@ -164,7 +161,6 @@ def test_a_flooding_agent_never_costs_an_agent_within_its_share_a_row(frames, ro
 
 
 @given(frames=FRAMES, rows=st.integers(1, 40), others=st.integers(0, 50))
-@settings(max_examples=200)
 def test_which_objects_an_agent_keeps_depends_on_others_only_by_its_share(frames, rows, others):
     """Two floods of equal size and different ids and scores have the same effect on all others."""
     low, high = FairInput(rows=rows), FairInput(rows=rows)

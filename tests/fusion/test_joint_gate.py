@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from tracked_objects import INVALID_COVARIANCES, MATURE, STEP_S, cars, centre, nanoseconds
 
@@ -68,7 +68,6 @@ def test_the_gate_is_a_parameter():
         DBSCANClusterer(gate=-1)
 
 
-@settings(max_examples=150)
 @given(
     st.lists(st.tuples(*[st.integers(0, 4)] * 2, st.integers(0, 1), st.integers(-1, 1)), min_size=1, max_size=12),
     st.sampled_from(CLUSTERERS),
@@ -198,7 +197,6 @@ def test_of_many_larger_clusters_the_largest_are_compared():
     assert without_contradicted(states, agent, label, None).tolist() == [1.0] * 4 + [0.0] * 21
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     st.lists(st.tuples(*[st.integers(0, 3)] * 2, st.sampled_from([-1, 1])), min_size=3, max_size=14),
     st.randoms(use_true_random=False),

@@ -3,7 +3,7 @@
 import numpy as np
 import plain_boxes as plain
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.integrity.agreement import agreement, moved, outline_iou
@@ -27,7 +27,6 @@ def test_the_overlap_of_two_boxes_is_that_of_their_clipped_outlines(one: plain.B
     other=st.lists(plain.boxes, max_size=5),
     least_iou=st.sampled_from([0.1, 0.3, 0.5]),
 )
-@settings(max_examples=150)
 def test_the_index_is_that_of_the_best_of_all_matchings(one, other, least_iou):
     found = agreement(plain.boxes_of(one), plain.boxes_of(other), least_iou)
     assert found == pytest.approx(plain.jaccard(one, other, least_iou))

@@ -8,7 +8,7 @@ import numpy as np
 import plain_boxes as plain
 import pytest
 import shapely
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from integrity_batches import Track, batch, view
 from scipy.spatial import ConvexHull
@@ -76,7 +76,6 @@ def is_free(sensor: SweptView | None, point: tuple[float, float, float], range_m
     objects=st.integers(0, 5),
     range_m=st.sampled_from([20.0, 50.0]),
 )
-@settings(max_examples=25)
 def test_the_spoofed_area_is_the_part_of_the_box_that_anybody_sees_free(number, agents, objects, range_m):
     each = plain.random_batch(number, agents, objects)
     found = free_m2(each, ClusterBoxes.of(each), range_m)
@@ -138,7 +137,6 @@ def test_only_areas_of_the_size_of_vehicles_count(side_m: float, vehicles: int) 
 
 
 @given(boxes=st.lists(plain.boxes, max_size=4), seed=st.integers(0, 9999))
-@settings(max_examples=60)
 def test_the_removed_area_is_the_part_under_no_box(boxes: list[plain.Box], seed: int) -> None:
     corners = hull(np.random.default_rng(seed).uniform(-3.0, 3.0, (8, 2)))
     occupied = OccupiedArea(corners, polygon_area(corners), np.zeros(1, np.int64))
@@ -157,7 +155,6 @@ def test_the_removed_area_is_the_part_under_no_box(boxes: list[plain.Box], seed:
 
 
 @given(number=st.integers(0, 10_000))
-@settings(max_examples=40)
 def test_returns_are_the_nearest_ends_of_rays_in_each_sector(number: int) -> None:
     random = np.random.default_rng(number)
     sensor = plain.random_view(number, random.uniform(-20.0, 20.0, 2))

@@ -15,11 +15,11 @@ def test_other_seeds_and_junctions_are_accepted() -> None:
 
 @pytest.mark.parametrize("seed", [101, 150, 202])
 def test_a_calibration_seed_is_refused(seed: int) -> None:
-    with pytest.raises(ConfigurationError, match=f"study: seed {seed}: thresholds were calibrated on seeds 101 to 202"):
+    with pytest.raises(ConfigurationError, match=f"study.*{seed}: thresholds"):
         refuse_calibration_data([0, seed], JUNCTION, "study")
 
 
 @pytest.mark.parametrize("index", CALIBRATION_SCENES)
 def test_a_calibration_junction_is_refused(index: int) -> None:
-    with pytest.raises(ConfigurationError, match=f"scene intersection:{index}: .* expected intersection:4 or above"):
+    with pytest.raises(ConfigurationError, match=f"scene intersection:{index}.*intersection:4"):
         refuse_calibration_data([0], {"type": "Intersection", "scene_index": index}, "study")

@@ -61,7 +61,7 @@ def test_a_fault_is_found_corrected_and_not_punished(fault: tuple[float, float, 
     assert SUSPENDED not in found.state
     measured = [*found.offset[3], found.turn[3], -found.delay[3]]
     assert measured == pytest.approx(fault, abs=0.15)
-    assert "all its tracks are" in found.reason[3]
+    assert "all its tracks" in found.reason[3]
 
 
 def test_a_wrong_clock_is_found_although_most_objects_stand() -> None:
@@ -145,7 +145,7 @@ def test_the_order_of_the_rows_does_not_matter_where_no_views_are_known() -> Non
 
 
 def test_faults_are_corrected_once() -> None:
-    with pytest.raises(ValueError, match="stage: found FaultOrLie, expected another stage"):
+    with pytest.raises(ValueError, match=r"stage.*FaultOrLie.*another"):
         FaultOrLie(stage=FaultOrLie())
 
 

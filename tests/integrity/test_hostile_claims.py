@@ -114,7 +114,7 @@ def test_two_tracks_of_each_object_frame_nobody_and_are_a_lie() -> None:
         batches.append(batch(tracks, tuple(PLACES), views, frame=frame))
     stage = SequentialConsistency()
     assert suspended(stage, batches) == {"d"}
-    assert stage.assess(batches[-1]).agents.reason[3].startswith("reports one object twice")
+    assert stage.assess(batches[-1]).agents.reason[3].startswith("reports one object")
 
 
 @pytest.mark.parametrize(("height_m", "size"), [(20.0, CAR), (0.75, (4.5, 1.8, 40.0)), (0.75, (0.0, 0.0, 0.0))])
@@ -219,7 +219,7 @@ def test_a_flood_of_tracks_costs_a_fault_fit_little() -> None:
 def test_views_are_limited_in_size_and_all_together() -> None:
     body = view_columns(view((0.0, 0.0)).view, np.ones((1, MAX_CELLS)))
     check_view(body)
-    with pytest.raises(ValueError, match=f"free: found {MAX_CELLS + 1} directions"):
+    with pytest.raises(ValueError, match=f"free.*{MAX_CELLS + 1} directions"):
         check_view(body | {"free": np.ones((1, MAX_CELLS + 1))})
     columns = collated_columns([body] * 8)
     assert len(columns["free"]) <= MAX_ROWS

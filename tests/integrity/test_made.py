@@ -7,7 +7,7 @@ from math import pi
 import numpy as np
 import plain_boxes as plain
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from integrity_batches import Track, batch, view
 
@@ -39,7 +39,6 @@ def plain_loss(one: plain.Box, other: plain.Box, around: float | None = None) ->
 
 
 @given(one=plain.boxes, other=plain.boxes)
-@settings(max_examples=60)
 def test_the_enclosing_rectangle_is_the_smallest_of_all_turned_ones(one: plain.Box, other: plain.Box) -> None:
     a, b = plain.boxes_of([one]), plain.boxes_of([other])
     (found,) = enclosing_area(a, b, (b.position - a.position)[:, :2]).tolist()
@@ -49,7 +48,6 @@ def test_the_enclosing_rectangle_is_the_smallest_of_all_turned_ones(one: plain.B
 
 
 @given(one=plain.boxes, other=plain.boxes)
-@settings(max_examples=60)
 def test_the_loss_of_a_pair_is_the_formula(one: plain.Box, other: plain.Box) -> None:
     (found,) = giou_loss(plain.boxes_of([one]), plain.boxes_of([other])).tolist()
     assert found == pytest.approx(plain_loss(one, other), abs=4e-3)
@@ -82,7 +80,6 @@ def transcribed(theirs: Sequence[tuple[plain.Box, float]], mine: Sequence[tuple[
 
 
 @given(theirs=scored, mine=st.lists(st.tuples(plain.boxes, st.floats(0.0, 1.0)), min_size=1, max_size=4))
-@settings(max_examples=80)
 def test_the_match_loss_is_the_least_of_all_matchings(theirs, mine):
     sets = [(plain.boxes_of([box for box, _ in each]), np.array([s for _, s in each])) for each in (theirs, mine)]
     assert match_loss(*sets[0], *sets[1]) == pytest.approx(transcribed(theirs, mine), abs=1e-6)
@@ -109,7 +106,6 @@ def test_the_rejected_are_those_up_to_the_last_below_its_limit(p: list[float], a
 
 
 @given(number=st.integers(0, 10_000), agents=st.integers(1, 5), objects=st.integers(0, 4))
-@settings(max_examples=40)
 def test_the_losses_of_a_batch_without_views_are_those_of_all_boxes(number: int, agents: int, objects: int) -> None:
     each = plain.random_batch(number, agents, objects, viewed=False)
     found = match_losses(each, 0, 32.0)

@@ -2,7 +2,7 @@
 
 import plain_boxes as plain
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from integrity_batches import batch
 from test_robosac import AGENTS
@@ -92,7 +92,6 @@ def middle(values: list[float]) -> float:
     adaptive=st.booleans(),
     viewed=st.booleans(),
 )
-@settings(max_examples=40)
 def test_it_admits_whom_the_transcribed_method_admits(number, agents, objects, agree, adaptive, viewed):
     stage, expected = Pasac(ego="agent_0", agree=agree, adaptive=adaptive), Transcribed(agree, adaptive)
     for frame in range(6):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import plain_boxes as plain
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from integrity_batches import Track, batch, view
 
@@ -59,7 +59,6 @@ def transcribed(each: Batch, stage: PoseGuard) -> tuple[set[int], set[int], int]
     ego=st.sampled_from(["agent_0", "agent_1", "absent"]),
     viewed=st.booleans(),
 )
-@settings(max_examples=120)
 def test_it_leaves_out_and_withholds_what_the_transcribed_method_does(
     number: int, agents: int, objects: int, region_m: float, agree_m: float, ego: str, viewed: bool
 ) -> None:

@@ -6,7 +6,7 @@ from math import floor, log2, sqrt
 import numpy as np
 import plain_boxes as plain
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from integrity_batches import Track, batch
 from scipy.stats import t as student
@@ -200,7 +200,6 @@ class Transcribed:
     memory=st.sampled_from([3, 20]),
     viewed=st.booleans(),
 )
-@settings(max_examples=30)
 def test_it_judges_as_the_transcribed_method(number, agents, objects, agree, memory, viewed):
     stage, expected = Prbi(agree=agree, memory=memory), Transcribed(agree, memory)
     stage.bind(number, "centre")

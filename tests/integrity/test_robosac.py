@@ -4,7 +4,7 @@ from math import log
 
 import plain_boxes as plain
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from integrity_batches import Track, batch, view
 
@@ -93,7 +93,6 @@ def reference(each: Batch, stage: Robosac, budget: int, size: int, seed: int, na
     agree=st.sampled_from([0.2, 0.3, 0.6, 0.9]),
     viewed=st.booleans(),
 )
-@settings(max_examples=60)
 def test_it_admits_whom_the_transcribed_method_admits(number, agents, objects, size, agree, viewed):
     each = plain.random_batch(number, agents, objects, viewed=viewed)
     stage = Robosac(ego="agent_0", budget=4, sample_size=size, agree=agree)

@@ -57,7 +57,7 @@ def test_a_track_that_is_off_by_more_than_the_noise_suspends_its_agent() -> None
     stage = SequentialConsistency()
     *_, last = (stage.assess(each) for each in batches(100, shift=1.2))
     assert last.agents.state.tolist()[2] == SUSPENDED
-    assert last.agents.reason[2].startswith("reports a position that differs")
+    assert last.agents.reason[2].startswith("reports a position")
     assert SUSPENDED not in states(SequentialConsistency(), batches(100, shift=0.1)).values()
 
 
@@ -111,11 +111,9 @@ def test_the_tail_of_exponential_maxima_is_found() -> None:
     assert tail.value_at(tail.per_hour / np.e) == pytest.approx(tail.scale)
 
 
-@pytest.mark.parametrize(
-    ("maxima", "found"), [(np.arange(5.0), "1 of 5 above their 90% quantile, 3.6"), (np.zeros(100), "0 of 100")]
-)
+@pytest.mark.parametrize(("maxima", "found"), [(np.arange(5.0), r"above.*90% quantile"), (np.zeros(100), "0 of 100")])
 def test_a_tail_is_refused_for_few_blocks_and_for_equal_ones_with_what_was_found(maxima, found):
-    with pytest.raises(ValueError, match=f"maxima: found {found}.*, expected at least 2: use more blocks"):
+    with pytest.raises(ValueError, match=f"maxima.*{found}.*2"):
         fitted_tail(maxima, 1.0)
 
 

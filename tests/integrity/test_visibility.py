@@ -178,9 +178,9 @@ def test_views_are_unchanged_by_their_messages() -> None:
 @pytest.mark.parametrize(
     ("column", "value", "problem"),
     [
-        ("azimuth", [1.0, 1.0], "azimuth: found 1 to 1"),
-        ("azimuth", [-4.0, 4.0], "azimuth: found -4 to 4"),
-        ("elevation", [0.5, -0.5], "elevation: found 0.5 to -0.5"),
+        ("azimuth", [1.0, 1.0], r"azimuth.*1.*1"),
+        ("azimuth", [-4.0, 4.0], r"azimuth.*-4.*4"),
+        ("elevation", [0.5, -0.5], r"elevation.*0.5.*-0.5"),
         ("max_range", [0.0], "max_range: found 0"),
         ("free", [[-1.0]], "free: found -1"),
     ],

@@ -17,7 +17,7 @@ import msgpack
 import numpy as np
 import pytest
 import uper_oracle
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from plain_values import from_plain
 from v2x_messages import MessageMaker
@@ -519,7 +519,6 @@ def reference_of(name):
 
 @compiled
 @pytest.mark.parametrize("name", sorted(ARGUMENTS))
-@settings(max_examples=25)
 @given(st.integers(0, 2**32), st.sampled_from([0, 1, 2, 3, 9, 30]), st.sampled_from([0, 1, 2, 8, 25]))
 def test_a_compiled_kernel_equals_its_numpy_reference(name, seed, n, m):
     arguments = ARGUMENTS[name](np.random.default_rng(seed), n, m)
@@ -598,7 +597,7 @@ def test_kernels_compiled_from_other_sources_are_not_used(tmp_path):
     assert used(here, "").stdout.strip() == "numpy"
 
 
-@pytest.mark.parametrize(("mode", "message"), [("fast", "expected numpy or compiled"), ("compiled", "none were built")])
+@pytest.mark.parametrize(("mode", "message"), [("fast", "numpy or compiled"), ("compiled", "none were built")])
 def test_unavailable_or_unknown_kernels_are_refused(mode, message):
     hidden = "import sys; sys.modules['mast_zenoh.kernels.tracks'] = None"
     assert message in used(hidden, mode).stderr
@@ -608,9 +607,9 @@ def test_unavailable_or_unknown_kernels_are_refused(mode, message):
     ("files", "reason"),
     [
         ({}, "without compiling them"),
-        ({"not_compiled.txt": "there is no C compiler (install gcc): command 'cc' failed"}, "there is no C compiler"),
-        ({f"attacks{EXTENSION_SUFFIXES[0]}": ""}, "their sources have changed"),
-        ({"attacks.cpython-27-pdp11-unix.so": ""}, r"another Python \(attacks.cpython-27-pdp11-unix.so\), this is "),
+        ({"not_compiled.txt": "there is no C compiler (install gcc): command 'cc' failed"}, "no C compiler"),
+        ({f"attacks{EXTENSION_SUFFIXES[0]}": ""}, r"sources.*changed"),
+        ({"attacks.cpython-27-pdp11-unix.so": ""}, r"another Python \(attacks.cpython-27-pdp11-unix.so\)"),
     ],
     ids=["never compiled", "a failed build", "old sources", "another Python"],
 )

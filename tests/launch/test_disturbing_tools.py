@@ -61,5 +61,5 @@ def test_claims_about_a_recording_must_be_true(runs: list[Path]) -> None:
     assert judged(runs[1], "ok", recording=complete) == []
     assert judged(runs[1], "ok", recording=complete, recorded={"messages": 7})[0].endswith("run.json says 7")
     assert judged(runs[2], "interrupted", recording=cut) == []
-    assert "not that of the undisturbed run" in judged(runs[2], "interrupted", recording=complete)[0]
+    assert "undisturbed run" in judged(runs[2], "interrupted", recording=complete)[0]
     assert judged(runs[2], "killed", recorded={})  # complete, but of another run

@@ -100,8 +100,8 @@ def test_an_attack_can_be_named_in_place_of_a_node(
 @pytest.mark.parametrize(
     ("chosen", "message"),
     [
-        ("{}", r"defines 2 classes of type Attack \(Lie, Truth\): expected FILE.py:CLASS"),
-        ("{}:Lei", "defines no Attack named 'Lei'; did you mean 'Lie'"),
+        ("{}", r"defines.*classes.*FILE.py:CLASS"),
+        ("{}:Lei", r"defines.*'Lei'.*'Lie'"),
     ],
 )
 def test_which_attack_of_a_file_must_be_clear(resolved: Resolved, tmp_path: Path, chosen: str, message: str) -> None:
@@ -113,12 +113,12 @@ def test_which_attack_of_a_file_must_be_clear(resolved: Resolved, tmp_path: Path
 
 def test_a_port_must_be_named_if_several_match(resolved: Resolved, tmp_path: Path) -> None:
     two = node_file(tmp_path, {"a": "tracks", "b": "tracks"}, {"out": "tracks"})
-    with pytest.raises(NodeFileError, match="the inputs a, b: choose one with --input"):
+    with pytest.raises(NodeFileError, match=r"inputs.*b.*--input"):
         plan(resolved, TRACKS, two)
     assert plan(resolved, TRACKS, two, input="b")[2].input == "b"
-    with pytest.raises(NodeFileError, match="no input port 'bb'; did you mean 'b'"):
+    with pytest.raises(NodeFileError, match=r"input.*'bb'.*'b'"):
         plan(resolved, TRACKS, two, input="bb")
-    with pytest.raises(NodeFileError, match="which the wire 'cc/picture' carries"):
+    with pytest.raises(NodeFileError, match="wire 'cc/picture' carries"):
         plan(resolved, "cc/picture", two)
 
 
@@ -140,22 +140,22 @@ def test_a_node_that_redefines_a_message_type_of_the_run_is_refused(resolved: Re
     file = str(tmp_path / "windy.py")
     same, other = (replace(resolved, messages=(Schema("wind", version, "", ()),)) for version in (1, 2))
     assert plan(same, TRACKS, file)[1].type == "Mine"
-    with pytest.raises(NodeFileError, match=r"windy\.py: Mine: the run already has a different message type 'wind'"):
+    with pytest.raises(NodeFileError, match=r"windy\.py: Mine.*'wind'"):
         plan(other, TRACKS, file)
 
 
 @pytest.mark.parametrize(
     ("arguments", "error", "what"),
     [
-        (dict(wire="agent/infra_1/trcks"), WiringError, "did you mean 'agent/infra_1/tracks'"),
-        (dict(file="adversry.py"), NodeFileError, "did you mean 'adversary.py'"),
+        (dict(wire="agent/infra_1/trcks"), WiringError, "mean 'agent/infra_1/tracks'"),
+        (dict(file="adversry.py"), NodeFileError, r"mean 'adversary.py'"),
         (dict(file="recorder.py"), MastError, "log"),
-        (dict(name="broker"), ConfigurationError, "node 'broker' already exists"),
-        (dict(name="a/b"), WiringError, "one chunk of a key expression"),
+        (dict(name="broker"), ConfigurationError, "'broker' already exists"),
+        (dict(name="a/b"), WiringError, r"chunk.*key expression"),
         (dict(settings=()), ConfigurationError, "attack"),
-        (dict(settings=(*ATTACK, "attack.start=1")), ConfigurationError, "did you mean 'start_s'"),
+        (dict(settings=(*ATTACK, "attack.start=1")), ConfigurationError, "mean 'start_s'"),
         (dict(settings=("attack",)), ConfigurationError, "expected KEY=VALUE"),
-        (dict(settings=("attack=1", "attack.type=x")), ConfigurationError, "attack is 1, not a dict"),
+        (dict(settings=("attack=1", "attack.type=x")), ConfigurationError, r"attack.*1.*dict"),
     ],
 )
 def test_an_invalid_request_is_refused_with_the_nearest_valid_choice(
@@ -208,10 +208,10 @@ def test_a_run_that_is_not_up_yet_is_told_from_a_folder_that_is_none(tmp_path: P
 @pytest.mark.parametrize(
     ("record", "what"),
     [
-        (dict(status="ok", runtime="mesh"), "the run is over: ok"),
-        (dict(status="running", runtime="inproc"), "the run is in one process"),
+        (dict(status="ok", runtime="mesh"), r"run.*over: ok"),
+        (dict(status="running", runtime="inproc"), r"run.*process"),
         (dict(status="running", runtime="mesh", security="mtls", endpoint="tcp/127.0.0.1:1"), "security level mtls"),
-        (dict(status="running", runtime="mesh"), "has not started its nodes yet"),
+        (dict(status="running", runtime="mesh"), r"started.*nodes yet"),
     ],
 )
 def test_a_run_that_cannot_be_changed_gives_the_reason(tmp_path: Path, record: dict[str, str], what: str) -> None:

@@ -80,7 +80,7 @@ def test_malformed_reports_and_those_of_unknown_nodes_are_counted_and_ignored(me
     mesh.fail("nobody", VALID)
     mesh.fail("ego", VALID)
     assert mesh.take() == [Report("ego", FAILURE)]
-    assert mesh.children["ego"].ended == "exit code 0, but it handed in no results"
+    assert "handed in no" in mesh.children["ego"].ended
     for payload in FORGED:
         assert mesh.ask("ego", payload)
     assert mesh.ask("..", results.pack(OUTCOME))

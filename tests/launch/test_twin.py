@@ -117,7 +117,7 @@ def test_a_twin_is_played_again_if_a_users_file_or_one_next_to_it_changed(tmp_pa
 def test_a_folder_that_is_not_a_twin_is_not_touched(attacked: Path) -> None:
     (attacked / "twin").mkdir()
     (attacked / "twin" / "mine.txt").write_text("keep")
-    with pytest.raises(NotComparable, match="is not the twin"):
+    with pytest.raises(NotComparable, match=r"not.*twin"):
         twin.of(attacked)
     assert (attacked / "twin" / "mine.txt").is_file()
 
@@ -130,7 +130,7 @@ def test_a_run_without_its_scenario_or_with_a_broken_one_has_no_twin(attacked: P
         (attacked / name).unlink()
         if content is not None:
             (attacked / name).write_text(content)
-        with pytest.raises(NotComparable, match=r"needs scenario\.json, wiring\.json and scene\.npz"):
+        with pytest.raises(NotComparable, match=r"scenario\.json, wiring\.json.*scene\.npz"):
             twin.of(attacked)
         (attacked / name).write_bytes(sound)
     assert twin.of(attacked).is_dir()

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from link_bench import PERIOD_NS, arrived, build, carry, chain, delays, sensed
 from link_rules import RULES
@@ -82,7 +82,6 @@ def test_a_reordered_message_is_overtaken_and_delays_no_other() -> None:
 
 
 @given(names=st.lists(st.sampled_from([n for n in RULES if n != "Reorder"]), max_size=5), seed=st.integers(0, 20))
-@settings(max_examples=30)
 def test_without_reordering_messages_leave_in_order_of_arrival(names: list[str], seed: int) -> None:
     rules = [dict(type=name, **RULES[name]) for name in names]
     outcomes = carry(rules, 30, seed=seed, size=5000, position=np.zeros(3), referenced=True)
@@ -127,7 +126,6 @@ def test_a_pose_error_moves_and_rotates_the_frame_of_reference_about_the_vertica
 
 
 @given(payload=st.binary(max_size=50), positions=st.lists(st.floats(0.0, 1.0), max_size=8))
-@settings(max_examples=50)
 def test_the_configured_number_of_bits_is_flipped_reversibly(payload: bytes, positions: list[float]) -> None:
     once = flipped(payload, positions)
     assert len(once) == len(payload)
@@ -220,7 +218,7 @@ def test_invalid_rule_parameters_are_refused_by_name(name: str, parameter: str, 
 
 
 def test_jitter_of_a_constant_delay_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=re.escape("link.rules_up[0]: Delay: jitter_s: found 0.05")):
+    with pytest.raises(ConfigurationError, match=re.escape("link.rules_up[0]: Delay: jitter_s")):
         build(type="Delay", mean_s=0.12, jitter_s=0.05, distribution="constant")
 
 
@@ -232,7 +230,7 @@ def test_a_profile_is_a_copy_of_valid_rules() -> None:
     profile("wired")["up"].clear()
     assert profile("wired")["up"]
     assert profile("wired").keys() == {"up", "down"}
-    with pytest.raises(ConfigurationError, match="no link profile 'wirelss_v2x'; did you mean 'wireless_v2x'"):
+    with pytest.raises(ConfigurationError, match=r"profile 'wirelss_v2x'.*'wireless_v2x'"):
         profile("wirelss_v2x")
 
 

@@ -117,13 +117,13 @@ def test_the_rate_of_turning_is_taken_from_two_poses() -> None:
 @pytest.mark.parametrize(
     ("rule", "parameters", "reason"),
     [
-        (BLIND, dict(azimuth_min_deg=10.0), "azimuth_max_deg: found 10.0, expected up to 360 more"),
+        (BLIND, dict(azimuth_min_deg=10.0), r"azimuth_max_deg.*10.0.*up"),
         (BLIND, dict(azimuth_min_deg=-200.0, azimuth_max_deg=200.0), "azimuth_max_deg: found 200.0"),
         (BLIND, dict(azimuth_min_deg=-400.0, azimuth_max_deg=0.0), "azimuth_min_deg: found -400.0"),
-        (GHOST, dict(places=[]), "expected 1 to 100 places"),
-        (GHOST, dict(places=[[1.0, 2.0]]), "found 2 values, expected 3"),
+        (GHOST, dict(places=[]), r"1.*100 places"),
+        (GHOST, dict(places=[[1.0, 2.0]]), r"2 values.*3"),
         (GHOST, dict(frame="body"), "frame: found 'body'"),
-        (GHOST, dict(kind="cra"), "did you mean 'car'"),
+        (GHOST, dict(kind="cra"), "mean 'car'"),
         (GHOST, dict(size=[1.0, 0.0, 1.0]), "three lengths"),
         (GHOST, dict(probability=1.5), "probability: found 1.5"),
         (GHOST, dict(position_noise_m=-1.0), "noise: found"),

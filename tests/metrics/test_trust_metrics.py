@@ -259,7 +259,7 @@ def test_partial_area_is_the_mean_share_detected_below_a_rate() -> None:
 
 
 def test_wrong_lengths_and_rates_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"labels: found 1, expected 2"):
+    with pytest.raises(ValueError, match=r"labels.*1.*2"):
         roc([1.0, 2.0], [True])
-    with pytest.raises(ValueError, match="expected more than 0"):
+    with pytest.raises(ValueError, match="more than 0"):
         partial_auc([1.0], [True], 0.0, 1.0)

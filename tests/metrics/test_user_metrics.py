@@ -121,10 +121,10 @@ def test_an_estimate_has_the_judged_boxes_and_their_causes() -> None:
 @pytest.mark.parametrize(
     ("metric", "message"),
     [
-        (Told(np.zeros(3)), r"Told.per_frame: found shape \(3,\), expected \(2,\)"),
-        (Told(1.0), r"Told.per_frame: found shape \(\), expected \(2,\)"),
-        (ToldForRun("many"), "ToldForRun.per_run: found str, expected a number or None"),
-        (ToldForRun(np.zeros(2)), "ToldForRun.per_run: found ndarray, expected a number or None"),
+        (Told(np.zeros(3)), r"Told.per_frame.*\(3,\).*\(2,\)"),
+        (Told(1.0), r"Told.per_frame.*shape.*\(2,\)"),
+        (ToldForRun("many"), r"ToldForRun.per_run.*number.*None"),
+        (ToldForRun(np.zeros(2)), r"ToldForRun.per_run.*ndarray.*number"),
     ],
 )
 def test_invalid_metric_values_are_refused(metric: Any, message: str) -> None:
@@ -147,7 +147,7 @@ def test_metric_names_come_from_classes_or_parameters_and_are_unique() -> None:
         name = "rmse_m"
 
     assert FPNear30m().label == "fpnear30m"
-    with pytest.raises(ValueError, match="'rmse_m', which is the name of a built-in"):
+    with pytest.raises(ValueError, match=r"'rmse_m'.*name.*built-in"):
         check([Named()])
     with pytest.raises(ValueError, match="'longest_miss' twice"):
         check([LongestMiss(), LongestMiss()])

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from tiny_world import PERIOD_NS, Bench, Run, detections, pose, states, tiny, tracks
 
@@ -122,7 +122,6 @@ def test_messages_do_not_overtake_each_other(worlds, wire: str) -> None:
 
 
 @given(st.data())
-@settings(max_examples=40)
 @pytest.mark.parametrize("wire", WIRES)
 def test_the_order_of_pose_and_message_does_not_matter(worlds, wire: str, data: st.DataObject) -> None:
     """The output on each key is a function of the input of each frame."""

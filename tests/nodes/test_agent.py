@@ -158,9 +158,9 @@ def test_a_status_is_sent_with_the_first_frame_and_then_regularly(resolved) -> N
 @pytest.mark.parametrize(
     ("config", "reason"),
     [
-        ({"status_every": 0}, "ego: Agent: status_every: found 0, expected 1 or more"),
-        ({"picture_age_s": -1.0}, "ego: Agent: picture_age_s: found -1.0, expected 0 or more"),
-        ({"unsupported_std_m": 0.0}, "ego: Agent: unsupported_std_m: found 0.0, expected more than 0"),
+        ({"status_every": 0}, "ego: Agent: status_every"),
+        ({"picture_age_s": -1.0}, "ego: Agent: picture_age_s"),
+        ({"unsupported_std_m": 0.0}, "ego: Agent: unsupported_std_m"),
     ],
 )
 def test_invalid_parameters_are_refused(resolved, config: dict, reason: str) -> None:

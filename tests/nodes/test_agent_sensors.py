@@ -116,7 +116,7 @@ def test_an_adversary_attacks_each_sensor_by_itself_in_any_order_of_delivery() -
 def test_a_map_without_wires_of_further_sensors_is_refused() -> None:
     old = maps.load(bundle.ROOT / "keyexpr_maps" / "testbed.toml")
     wires = [wire for wire in old["wire"] if "{sensor}" not in wire["key"]]
-    with pytest.raises(WiringError, match="no wire for the sensor 'radar' of infra_1: expected one with the key"):
+    with pytest.raises(WiringError, match=r"sensor 'radar'.*infra_1"):
         rates(keyexpr=dict(map={"wire": wires}, rewrites=[]))
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from tiny_world import PERIOD_NS, Bench, tiny, tracks
 
@@ -238,7 +238,6 @@ def test_a_clock_error_beyond_max_age_excludes_only_that_agent(resolved, offset_
 
 
 @given(st.data())
-@settings(max_examples=60)
 def test_every_delivery_order_gives_the_same_batches(resolved, data: st.DataObject) -> None:
     """Random order, loss and lateness within frames, delivered as on a mesh."""
     configs = [{}, {"latency_s": 0.1}, {"latency_s": 0.2, "patience": 1}, {"patience": 1}, {"max_age_s": 0.1}]
@@ -278,10 +277,10 @@ def test_every_delivery_order_gives_the_same_batches(resolved, data: st.DataObje
 @pytest.mark.parametrize(
     ("config", "reason"),
     [
-        ({"latency_s": -0.1}, "broker: Broker: latency_s: found -0.1, expected 0 or more"),
-        ({"patience": -1}, "patience: found -1, expected 0 or more"),
-        ({"capacity": 0}, "capacity: found 0, expected 1 or more"),
-        ({"max_age_s": -1.0}, "max_age_s: found -1.0, expected 0 or more"),
+        ({"latency_s": -0.1}, "broker: Broker: latency_s"),
+        ({"patience": -1}, r"patience.*-1.*0"),
+        ({"capacity": 0}, r"capacity.*0.*1"),
+        ({"max_age_s": -1.0}, r"max_age_s.*-1.0.*0"),
     ],
 )
 def test_invalid_parameters_are_refused(resolved, config: dict, reason: str) -> None:

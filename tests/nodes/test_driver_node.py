@@ -149,7 +149,7 @@ def test_a_view_that_covers_nothing_is_rejected() -> None:
 
 @pytest.mark.parametrize("estimate", ["truth", "safety"])
 def test_a_veto_needs_the_mission_estimate(estimate: str) -> None:
-    with pytest.raises(ConfigurationError, match="veto: found True with the estimate"):
+    with pytest.raises(ConfigurationError, match=r"veto.*True.*estimate"):
         resolved(estimate, True)
 
 
@@ -158,4 +158,4 @@ def test_a_driver_that_returns_something_else_than_a_command_is_named(caplog: py
     drive(bench, 0, tracks(), "mission")
     bench.node.driver.drive = lambda situation: (1.0, 0.0)
     assert drive(bench, 1, tracks(), "mission") is None
-    assert "FollowingDriver.drive returned tuple, expected a Command" in caplog.text
+    assert "FollowingDriver.drive returned tuple" in caplog.text

@@ -299,18 +299,18 @@ def test_the_evaluator_subscribes_only_to_what_it_needs() -> None:
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        ({"skip_first": -1}, "skip_first, skip_last: found -1, 10, expected 0 or more"),
-        ({"attribution": {"lie_m": -1.0}}, "attribution: AttributionLimits: lie_m: found -1.0, expected 0 or more"),
+        ({"skip_first": -1}, r"skip_first, skip_last.*-1"),
+        ({"attribution": {"lie_m": -1.0}}, "attribution: AttributionLimits: lie_m"),
         (
             {"attribution": {"lie": 1.0}},
-            "attribution.lie: AttributionLimits has no such parameter; did you mean 'lie_m'",
+            r"attribution.lie: AttributionLimits.*'lie_m'",
         ),
-        ({"attribution": {"coast_s": "4 s"}}, "attribution.coast_s: found '4 s', expected a number"),
-        ({"cut_off": {"recovery_s": -1.0}}, "cut_off: CutOff: recovery_s: found -1.0, expected 0 or more"),
-        ({"cut_off": 0.5}, "cut_off: found 0.5, expected a dict"),
-        ({"picture_age_s": -0.1}, "picture_age_s: found -0.1, expected 0 or more"),
-        ({"driving": {"type": "Driving", "horizon_m": 0.0}}, "horizon_m: found 0.0, expected more than 0"),
-        ({"metrics": [{"type": "LongestMiss"}, {"type": "LongestMiss"}]}, "metrics: found 'longest_miss' twice"),
+        ({"attribution": {"coast_s": "4 s"}}, r"attribution.coast_s.*'4 s'"),
+        ({"cut_off": {"recovery_s": -1.0}}, "cut_off: CutOff: recovery_s"),
+        ({"cut_off": 0.5}, r"cut_off.*0.5.*dict"),
+        ({"picture_age_s": -0.1}, r"picture_age_s.*-0.1.*0"),
+        ({"driving": {"type": "Driving", "horizon_m": 0.0}}, r"horizon_m.*0.0.*0"),
+        ({"metrics": [{"type": "LongestMiss"}, {"type": "LongestMiss"}]}, r"metrics.*'longest_miss' twice"),
     ],
 )
 def test_invalid_parameters_are_refused(resolved, config: dict[str, Any], message: str) -> None:

@@ -50,7 +50,7 @@ def test_a_recorder_is_added_on_request_unless_the_scenario_disables_it() -> Non
     content["run"] |= {"record": False}
     assert "recorder" not in scenario.resolve(path, content, frames=2, record=True).nodes
     content["run"] |= {"record": "yes"}
-    with pytest.raises(ConfigurationError, match=r"run\.record: found 'yes', expected True or False"):
+    with pytest.raises(ConfigurationError, match=r"run\.record.*'yes'.*False"):
         scenario.resolve(path, content, frames=2, record=True)
 
 
@@ -66,4 +66,4 @@ def test_lost_messages_are_reported_in_run_json(tmp_path: Path, monkeypatch: pyt
     assert (tmp_path / "run" / "metrics.json").is_file(), "the run continues to its end"
     recorded = outcome.record["recorded"]
     assert recorded["messages"] == 0 < recorded["lost"]
-    assert f"{recorded['lost']} messages are not in the recording" in outcome.record["message"]
+    assert f"{recorded['lost']} messages" in outcome.record["message"]

@@ -107,7 +107,7 @@ def test_invalid_trust_is_a_failure_of_the_command_centre_not_a_lost_message(res
     centre.host.node.pipeline.integrity = Percent()
     centre.play(0, views=views(), collated=batch())
     (failure,) = centre.host.failures.values()
-    assert "Percent.assess: agents.mean is not from 0 to 1" in failure.exception
+    assert "Percent.assess: agents.mean" in failure.exception
 
 
 def test_a_stage_that_trusts_everybody_changes_no_other_message() -> None:

@@ -73,7 +73,7 @@ def test_damaged_settings_of_played_drivers_are_refused(damaged: Any, run: Path,
     scenario = json.loads((folder / "scenario.json").read_text())
     scenario["nodes"]["evaluator"]["config"]["played_drivers"] = damaged
     (folder / "scenario.json").write_text(json.dumps(scenario))
-    with pytest.raises(ConfigurationError, match=r"played_drivers: .*found .*, expected "):
+    with pytest.raises(ConfigurationError, match="played_drivers"):
         replay.resolve(folder, "simulator")
 
 
