@@ -104,6 +104,20 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", str(place)], check=True)
 
 
+@pytest.fixture
+def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures of pages are one pixel, as painting takes most of a page's time."""
+    pixel = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + 2 * (1).to_bytes(4)
+    for kind in ("png", "svg", "pdf"):
+        monkeypatch.setattr(f"mast_zenoh.show.figures.drawing.{kind}", lambda figure: pixel)
+
+
+@pytest.fixture
+def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages of runs have words and tables only."""
+    monkeypatch.setattr("mast_zenoh.show.figures.of_run.run_figures", lambda context: {})
+
+
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Iterator[Path]:
     """Scenes of tests use their own cache, also in child processes; all workers share one."""

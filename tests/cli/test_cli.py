@@ -147,6 +147,7 @@ def test_ctrl_c_in_one_process_keeps_the_results_obtained_so_far(
     assert json.loads((tmp_path / "cut" / "metrics.json").read_text())["frames"] == 3
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_failed_handler_gives_exit_code_30_and_is_named_unless_allowed(mast, tmp_path: Path) -> None:
     path = str(failing.write("attack", tmp_path))
     short = ("--frames", "8", "--runtime", "inproc")
@@ -163,6 +164,7 @@ def test_a_failed_handler_gives_exit_code_30_and_is_named_unless_allowed(mast, t
     assert f"wrong:\n  {description}" in err
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_run_is_compared_with_its_unattacked_twin(mast, tmp_path: Path) -> None:
     attack = ("--set", "attack_start_s=0", "--frames", "12", "--runtime", "inproc")
     code, out, _ = mast("run", "uncoordinated", *attack, "--out", "here", "--against", "twin")
@@ -174,6 +176,7 @@ def test_a_run_is_compared_with_its_unattacked_twin(mast, tmp_path: Path) -> Non
     assert "compared with unattacked" not in (tmp_path / "here" / "report.html").read_text()
 
 
+@pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize("name", ["attack", "center"])
 def test_failures_in_a_comparison_are_reported_and_give_exit_code_30_unless_allowed(
     mast, tmp_path: Path, name: str

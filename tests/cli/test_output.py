@@ -4,6 +4,7 @@ from io import StringIO
 from pathlib import Path
 
 import failing
+import pytest
 from rich.console import Console
 
 from mast_zenoh.api import catalogue
@@ -49,6 +50,7 @@ def test_tables_of_studies_fit_80_columns_and_cut_no_word() -> None:
         assert word in printed
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_quiet_run_that_goes_well_prints_nothing(mast, tmp_path: Path) -> None:
     long_enough = ("--frames", "40", "--set", "n_infrastructure=1")
     assert mast("run", "baseline", *SHORT[:2], *long_enough, "--quiet", "--out", "here") == (0, "", "")

@@ -78,6 +78,7 @@ def test_another_error_takes_precedence_and_the_failures_are_recorded(
     assert outcome.record["nodes"]["eve"]["ended"] == "did not finish"
 
 
+@pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize("allowed", [False, True])
 def test_results_are_written_and_the_report_has_a_red_banner_or_an_amber_one_for_allowed_failures(
     tmp_path: Path, allowed: bool
@@ -105,6 +106,7 @@ def test_results_are_written_and_the_report_has_a_red_banner_or_an_amber_one_for
     assert page.index('role="alert"') < page.index('id="scores"')
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_run_without_failures_has_no_banner_and_no_error(tmp_path: Path) -> None:
     ended = played("second", tmp_path)
     assert ended.error is None

@@ -174,6 +174,7 @@ def test_a_notice_on_drivers_or_scores_counts_and_what_is_no_count_has_none(
     assert [[*notices_of(each)] for each in invalid] == [[]] * len(invalid)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
     def slow_and_corrupt(content: dict[str, Any]) -> None:
         corrupt = dict(type="Corrupt", probability=1.0, flips=20)

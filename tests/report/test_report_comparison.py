@@ -78,11 +78,11 @@ def test_different_scenes_and_unscored_agents_are_rejected(pair: Pair) -> None:
     run, other = pair
     scene = Run(other).files.scene
     replace(scene, truth=replace(scene.truth, position=scene.truth.position + 1.0)).save(other / "scene.npz")
-    with pytest.raises(NotComparable, match="expected the same scene and seed"):
+    with pytest.raises(NotComparable, match=r"same scene.*seed"):
         write_report(run, against=other)
     renamed = (*scene.agents[:-1], replace(scene.agents[-1], name="infra_9"))
     replace(scene, agents=renamed).save(other / "scene.npz")
-    with pytest.raises(NotComparable, match="found infra_4 only in the first and infra_9 only in the second"):
+    with pytest.raises(NotComparable, match=r"infra_4.*infra_9.*second"):
         write_report(run, against=other)
 
 

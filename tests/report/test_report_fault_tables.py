@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 from run_samples import edit
@@ -67,6 +67,7 @@ def attacked_and_faulted(run_folder: Callable[..., Path]) -> Path:
     return faulted(run_folder("uncoordinated"), PARTITION, KILL, ATTACK, checks=CHECKS)
 
 
+@pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize("attack", ["", "uncoordinated"])
 def test_run_without_links_and_faults_has_no_such_sections(run_folder: Callable[..., Path], attack: str) -> None:
     folder = run_folder(attack)
@@ -135,7 +136,6 @@ SOME_BANDS = st.lists(
 )
 
 
-@settings(max_examples=40)
 @given(SOME_BANDS)
 def test_bands_and_labels_do_not_overlap(rows: list[tuple[float, float, str, bool]]) -> None:
     width, low, high = 10.0, 0.0, 20.0

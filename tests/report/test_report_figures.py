@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 import matplotlib.image
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
 
@@ -167,7 +167,6 @@ def test_lines_are_clipped_at_the_near_plane() -> None:
 _PLACE = st.tuples(*[st.floats(-40.0, 40.0)] * 3)
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.lists(_PLACE, min_size=3, max_size=3, unique=True), st.tuples(*[st.floats(0.05, 1.0)] * 2))
 def test_what_is_clipped_lies_in_front_and_the_rest_is_unchanged(
     corners: list[tuple[float, ...]], sides: tuple[float, float]

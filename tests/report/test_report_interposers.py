@@ -113,7 +113,7 @@ def test_adversary_on_the_downlink_is_described_by_its_victim_alone() -> None:
     (row,) = wire_rows(run)
     assert row.before == {"mallory": ("ego",)}
     assert "<strong>mallory</strong> <small>(only before ego)</small>" in rendered_wires([row])
-    assert only(run).place == "cc/picture only before ego"
+    assert "only before ego" in only(run).place
     on_trunk = run_of([wire("cc/picture", ("mallory",))])
     assert only(on_trunk).place == "cc/picture"
     assert [each.where for each in positions(on_trunk)] == ["the wire cc/picture"]
@@ -170,7 +170,7 @@ def test_interposer_removed_during_the_run_is_named_and_drawn() -> None:
     run = run_of([wire("agent/infra_1/tracks")], {"mallory": MEASURED}, interceptions=(LIVE, RELEASE))
     by_name = only(run)
     assert (by_name.live, by_name.released) == (44, 90)
-    assert by_name.description == "mallory (inserted live in frames 44 to 89)"
+    assert "in frames 44 to 89" in by_name.description
     (row,) = wire_rows(run)
     assert row.intercepted
     assert row.when == {"mallory": "frames 44 to 89"}

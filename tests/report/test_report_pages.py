@@ -4,6 +4,7 @@ import io
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
 from kept_texts import assert_kept, visible
 from parsed_page import Page
 from rich.console import Console
@@ -16,6 +17,8 @@ from test_report_trust import doubted, judged
 
 from mast_zenoh.show.html import write_report
 from mast_zenoh.show.terminal import show_run
+
+pytestmark = pytest.mark.usefixtures("unpainted")
 
 KILLED = {"role": "agent", "pid": 77, "exit": -9, "ended": "killed by signal 9", "restarts": 2}
 KILLED |= {"last_frame": 21, "rejected": {"agent/infra_2/pose: truncated": 3}, "foreign": {}, "failures": []}

@@ -108,7 +108,7 @@ def test_the_estimate_used_to_choose_a_frame_is_shown(run_folder: Callable[..., 
     assert len(replace(view, run=run.with_()).behind.added) == 10
     assert len(replace(view, run=run.with_()).marks("picture_received").added) == 10
     titles = [axes.get_title(loc="left") for axes in birdseye_figure(view).axes]
-    assert titles[1] == "the picture as the ego receives it"
+    assert "ego receives" in titles[1]
     assert camera_figure(view) is not None
     del run.files.summary["same_as"]["ego"]["picture_received"]
     without_boxes = frame_view(run, 20, "picture_received")

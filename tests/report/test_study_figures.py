@@ -86,11 +86,12 @@ def test_figures_are_reproducible_and_state_their_sample(monkeypatch: pytest.Mon
     assert drawn[0].subfigs[1].axes[0].images, "four values of both: a heat map"
 
 
+@pytest.mark.usefixtures("unpainted")
 @pytest.mark.parametrize(
     ("seeds", "half", "footer", "caption"),
     [
-        (20, 0.5, "95 % interval over seeds", "Where a bar crosses 0, there may be no change."),
-        (4, float("nan"), "no interval below five seeds", "Below five seeds there is no bar."),
+        (20, 0.5, "interval over seeds", "Where a bar crosses 0, there may be no change."),
+        (4, float("nan"), "interval below five", "Below five seeds there is no bar."),
         (
             *(20, float("nan"), "no interval where all seeds are equal"),
             "A point of five seeds or more without a bar is the same for every seed.",

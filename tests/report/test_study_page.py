@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from kept_texts import assert_kept, visible
 from parsed_page import Page
 from study_samples import BASELINE, facts, grid
@@ -10,6 +11,8 @@ from mast_zenoh.metrics.study_results import FailedTrial
 from mast_zenoh.show.figures.study import figures_over_trials
 from mast_zenoh.show.html import write_trials_page
 from mast_zenoh.show.tables.text_table import TextTable
+
+pytestmark = pytest.mark.usefixtures("unpainted")
 
 ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2), false_positives=(1.0, 5.0, 20.0))]
 FAILED = [

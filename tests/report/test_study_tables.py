@@ -187,7 +187,7 @@ def test_the_result_of_a_study_is_its_clearest_change_or_why_there_is_none() -> 
     lines = [line for name, case in OF_STUDIES.items() for line in (f"{name}:", *words(*case), "")]
     assert_kept("results_of_studies", *lines)
     markdown = study.as_markdown(ROWS, replace(facts(ROWS), idle=(LATE,)))
-    assert "The attack of uncoordinated n=1 never began" in markdown.split("##")[0]
+    assert "uncoordinated n=1 never" in markdown.split("##")[0]
 
 
 def test_the_headline_never_denies_a_change_that_remains_after_holm() -> None:
@@ -211,7 +211,7 @@ def test_the_headline_never_denies_a_change_that_remains_after_holm() -> None:
         if comparisons.remaining():
             clearest = int(p_values.argmin())
             phrase = ("false objects", "missed objects", "RMSE")[clearest % 3]
-            assert re.search(rf"in a{clearest // 3} the picture has .*{phrase}", text)
+            assert re.search(rf"a{clearest // 3}.*picture.*{phrase}", text)
 
 
 def test_a_wide_table_has_parts_of_whole_groups_and_one_caption() -> None:

@@ -48,7 +48,7 @@ def test_every_reader_refuses_what_is_no_plain_file_and_names_it(
     monkeypatch.chdir(tmp_path)  # the name of a socket is short
     path = tmp_path / "a_file"
     KINDS[kind](path)
-    with pytest.raises(RunFolderError, match=f"{path}: found {kind}, expected a file"):
+    with pytest.raises(RunFolderError, match=f"{path}.*{kind}.*file"):
         reader(path)
 
 

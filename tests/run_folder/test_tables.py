@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from table_writing import write_table
 
@@ -16,7 +16,6 @@ from mast_zenoh.run_folder.tables import from_arrow, read_table, to_arrow
 texts = st.lists(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=8), max_size=20)
 
 
-@settings(deadline=None)
 @given(texts=texts, data=st.data())
 def test_columns_are_read_back_unchanged(texts: list[str], data: st.DataObject) -> None:
     n = len(texts)

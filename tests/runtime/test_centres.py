@@ -79,5 +79,5 @@ def test_the_picture_of_two_centres_is_as_good_as_that_of_one() -> None:
 
 
 def test_a_region_around_an_agent_needs_its_pose() -> None:
-    with pytest.raises(StartError, match="no wire brings `pose`"):
+    with pytest.raises(StartError, match="wire brings `pose`"):
         Run(tiny("two_centres", 'centers.west.region={"type": "Around"}', infrastructure=4, frames=5))

@@ -80,11 +80,11 @@ def test_steps_without_effect_are_skipped() -> None:
 @pytest.mark.parametrize(
     ("step", "problem"),
     [
-        ((3, "kill", "infra_9"), "kill infra_9: there is no such node; did you mean 'infra_2'"),
-        ((3, "kil", "infra_1"), "kil infra_1: expected one of kill, leave, start, pause, resume"),
-        ((3, "kill", "simulator"), "the run ends without the node that drives the scene"),
-        ((3, "start", "simulator"), "the run ends without the node that drives the scene"),
-        ((3, "pause", "infra_1"), "pause in real time"),
+        ((3, "kill", "infra_9"), r"kill infra_9.*'infra_2'"),
+        ((3, "kil", "infra_1"), r"infra_1.*leave.*resume"),
+        ((3, "kill", "simulator"), r"without.*drives.*scene"),
+        ((3, "start", "simulator"), r"without.*drives.*scene"),
+        ((3, "pause", "infra_1"), r"pause.*real time"),
     ],
 )
 def test_impossible_steps_are_refused_before_the_run(step: tuple[int, str, str], problem: str) -> None:

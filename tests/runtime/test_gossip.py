@@ -67,7 +67,7 @@ def test_an_agent_whose_broadcasts_are_changed_lies() -> None:
 
 
 def test_slanderers_without_gossip_are_refused() -> None:
-    with pytest.raises(ConfigurationError, match="n_slanderers: found more than 0, expected gossip=true"):
+    with pytest.raises(ConfigurationError, match=r"n_slanderers.*0.*gossip=true"):
         tiny("peers", "n_slanderers=1")
 
 

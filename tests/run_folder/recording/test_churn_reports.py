@@ -45,7 +45,7 @@ def test_runs_are_comparable_up_to_the_first_loss_in_either(tmp_path):
     assert comparable(tmp_path / "c", tmp_path / "messages.mcap") == (None, "")
     frame, why = comparable(tmp_path / "a", tmp_path / "b")
     assert frame == 39, "the previous frame may not have been finished"
-    assert why == f"infra_2 was lost in {tmp_path / 'b'}"
+    assert f"lost in {tmp_path / 'b'}" in why
 
 
 @pytest.mark.parametrize("content", ["{", "[1]", '{"churn": [1]}', '{"churn": [{}]}', '{"churn": 7}'])
