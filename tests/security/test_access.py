@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import zenoh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh import scenario
@@ -75,7 +75,6 @@ EXPRESSIONS = st.one_of(
 )
 
 
-@settings(max_examples=40)
 @given(wirings())
 def test_only_the_ends_of_a_leg_have_rights_on_its_key(wiring: Wiring) -> None:
     access = rules(wiring)
@@ -93,7 +92,6 @@ def test_only_the_ends_of_a_leg_have_rights_on_its_key(wiring: Wiring) -> None:
             assert allowed == ((key, node) in expected.get((flow, message), ())), (node, flow, message, key)
 
 
-@settings(max_examples=200)
 @given(wirings(), EXPRESSIONS, st.sampled_from(MESSAGES), st.sampled_from(["ingress", "egress"]))
 def test_rights_outside_the_wiring_are_denied(wiring: Wiring, expression: str, message: str, flow: str) -> None:
     try:
