@@ -6,7 +6,7 @@ from mast_zenoh.attacks import Coordination
 from mast_zenoh.config.registry import known_types, parameters_of
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.integrity import Integrity
-from mast_zenoh.study.defences import adversary_base, resolve_choice
+from mast_zenoh.study.choices import adversary_base, resolve_choice
 
 #: What the adversaries know besides their own wires, and the rewrites that let them hear it.
 KNOWLEDGE = {

@@ -12,7 +12,7 @@ from mast_zenoh.driving import Driver
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.scenario import choose_scene, victims_of
-from mast_zenoh.study.defences import measured_by, resolve_choice
+from mast_zenoh.study.choices import measured_by, resolve_choice
 
 #: Attacks by name, each with the wires on which it is by default, see `wire`.
 ATTACKS = {

@@ -1,15 +1,7 @@
 """With how many liars a defence breaks, next to the share at which honest viewers lose their majority."""
 
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.study.defences import (
-    junctions,
-    parse_choices,
-    sensors_of,
-    several,
-    short_name,
-    with_preset,
-    words,
-)
+from mast_zenoh.study.choices import junctions, parse_choices, sensors_of, several, short_name, with_preset, words
 from mast_zenoh.study.defences.breakdown import Breakdown
 
 # On two cores: quick 2 minutes, full 25.

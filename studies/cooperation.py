@@ -1,6 +1,6 @@
 """Fusion in one centre, in two regional ones, and on board of every agent, under equal attacks."""
 
-from mast_zenoh.study.defences import junctions, several, with_preset, words
+from mast_zenoh.study.choices import junctions, several, with_preset, words
 from mast_zenoh.study.defences.cooperation import Cooperation
 
 # On two cores: quick 3 minutes, full 45.

@@ -1,6 +1,6 @@
 """Every defence against every adversary, with 0 to n - 1 adversaries."""
 
-from mast_zenoh.study.defences import junctions, matrix_study, parse_choices, with_preset, words
+from mast_zenoh.study.choices import junctions, matrix_study, parse_choices, with_preset, words
 from mast_zenoh.study.defences.matrix import DefenceMatrix
 
 # Adversaries that know the defence.

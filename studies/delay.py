@@ -1,6 +1,6 @@
 """How the picture degrades when four poles' tracks are late."""
 
-from mast_zenoh.study.defences import words
+from mast_zenoh.study.choices import words
 
 
 def study(scenes="intersection:0,intersection:1,intersection:2,intersection:3", late_agents="infra_*"):

@@ -1,6 +1,6 @@
 """How long a displaced object stays unnoticed, next to the least delay that is possible."""
 
-from mast_zenoh.study.defences import junctions, sensors_of, several, with_preset, words
+from mast_zenoh.study.choices import junctions, sensors_of, several, with_preset, words
 from mast_zenoh.study.defences.drift import Drift
 
 # On two cores: quick 3 minutes, full 20.

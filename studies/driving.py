@@ -3,7 +3,7 @@
 from mast_zenoh.config import plugins, registry
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.integrity import Integrity
-from mast_zenoh.study.defences import parse_choices, several, with_preset, words
+from mast_zenoh.study.choices import parse_choices, several, with_preset, words
 from mast_zenoh.study.defences.driving_matrix import DrivingMatrix
 
 #: Attacks of the scenario `driving`, each with where it is (`wire`): on what the ego receives, on what two poles send,

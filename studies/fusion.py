@@ -1,6 +1,6 @@
 """Ways to fuse the tracks of one object, in the same scene: the errors and the consistency of the picture."""
 
-from mast_zenoh.study.defences import words
+from mast_zenoh.study.choices import words
 
 #: Group tracking of a command centre or of a peer.
 _CHOICES = dict(

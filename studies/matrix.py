@@ -1,6 +1,6 @@
 """Published and own defences against published and own attacks, by kind of scene."""
 
-from mast_zenoh.study.defences import junctions, matrix_study, parse_choices, scenes_of_kinds, with_preset
+from mast_zenoh.study.choices import junctions, matrix_study, parse_choices, scenes_of_kinds, with_preset
 from mast_zenoh.study.defences.field_matrix import FieldMatrix
 
 # Stages of the command centre; those after published defences last.

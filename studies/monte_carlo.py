@@ -1,6 +1,6 @@
 """The paper's Monte Carlo study: 1 to 3 adversaries, both attacks, many seeds."""
 
-from mast_zenoh.study.defences import words
+from mast_zenoh.study.choices import words
 
 #: Launch-time parameters of both attacks, and of the coordinated one alone, in each reading of the paper.
 READINGS = {

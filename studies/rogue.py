@@ -9,7 +9,7 @@ from mast_zenoh.mesh.security.credentials import ROUTER
 from mast_zenoh.mesh.security.levels import endpoint, router_settings
 from mast_zenoh.mesh.session import open_router
 from mast_zenoh.study.attacked_run import Outcome, listen
-from mast_zenoh.study.defences import words
+from mast_zenoh.study.choices import words
 from mast_zenoh.study.definition import Attempt
 
 # Messages that each attempt forges; s for which it listens, and waits for a node that it lures.

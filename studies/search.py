@@ -1,6 +1,6 @@
 """Attack parameters that harm most: searched on some seeds, measured on others."""
 
-from mast_zenoh.study.defences import COORDINATED, UNCOORDINATED, words
+from mast_zenoh.study.choices import COORDINATED, UNCOORDINATED, words
 
 # Of the scenario defence_cell: what is not chosen otherwise.
 CELL = dict(attack="Collusion", defence="FaultOrLie", knowledge="trust", budget=2.0, placement="worst")

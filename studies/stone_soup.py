@@ -1,6 +1,6 @@
 """The trackers of mast and of Stone Soup on the same scene, with and without a coordinated attack."""
 
-from mast_zenoh.study.defences import words
+from mast_zenoh.study.choices import words
 
 
 def study(scene="intersection", trackers="mast,agents,everywhere", frames=150, attack_start_s=2.0, builder=""):

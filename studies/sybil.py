@@ -8,7 +8,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
 from mast_zenoh.streams import stream
 from mast_zenoh.study.attacked_run import Outcome, listen
-from mast_zenoh.study.defences import words
+from mast_zenoh.study.choices import words
 from mast_zenoh.study.definition import Attempt
 
 MESSAGES = 10  # one a frame

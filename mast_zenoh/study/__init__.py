@@ -3,6 +3,7 @@
 The package can be called: `mast_zenoh.study("case_study")` carries out a study.
 
     interface   what calling the package does, and the object that it returns; runs every configuration once
+    choices     what study files name: presets, kinds of scene, defences, adversaries
     definition  study files: validation, and expansion of grids into configurations
     trials      many seeds: plans, runs and resumes trials
     trial       what a trial and its outcome are, and the digest of its inputs

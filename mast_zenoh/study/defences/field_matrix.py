@@ -12,7 +12,8 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.show.tables.text_table import ResultTables
-from mast_zenoh.study.defences import SCENE_KINDS, UNDEFENDED, breakdown, intervals, matrix
+from mast_zenoh.study.choices import SCENE_KINDS, UNDEFENDED
+from mast_zenoh.study.defences import breakdown, intervals, matrix
 from mast_zenoh.study.defences.breakdown import HALF, mean_crossing, measures_of_breaking, suspended_before_liars
 from mast_zenoh.study.defences.field_tables import (
     BY_SUSPENSION,

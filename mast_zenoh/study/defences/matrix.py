@@ -17,7 +17,8 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Row, Statistic, Survival, TrustPanel
 from mast_zenoh.metrics.trust import auc, partial_auc, roc
 from mast_zenoh.show.tables.text_table import ResultTables
-from mast_zenoh.study.defences import PREFIX, UNDEFENDED, intervals
+from mast_zenoh.study.choices import PREFIX, UNDEFENDED
+from mast_zenoh.study.defences import intervals
 from mast_zenoh.study.defences.intervals import kaplan_meier
 from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.defences.matrix_tables import DEFENCE_MEASURES, DefenceRoc, MatrixTable, defence_tables

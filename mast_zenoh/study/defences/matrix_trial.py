@@ -19,7 +19,7 @@ from mast_zenoh.runs.events import trust_in_agents
 from mast_zenoh.runs.observability import observability
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.study.defences import honest_majority
+from mast_zenoh.study.defences.placements import honest_majority
 from mast_zenoh.study.numbers import ego, scored_frames
 
 #: States that the figure shows.

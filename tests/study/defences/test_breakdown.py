@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.metrics.study_results import Row
-from mast_zenoh.study.defences import sensors_of
+from mast_zenoh.study.choices import sensors_of
 from mast_zenoh.study.defences.breakdown import Breakdown, crossing
 from mast_zenoh.study.defences.kinds import Factors
 

@@ -20,7 +20,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.metrics.study_results import Row
 from mast_zenoh.study import definition, execution, trials
-from mast_zenoh.study.defences import COORDINATED, UNCOORDINATED
+from mast_zenoh.study.choices import COORDINATED, UNCOORDINATED
 from mast_zenoh.study.defences.field_matrix import FieldMatrix, ratio, scene_title
 from mast_zenoh.study.defences.field_tables import (
     PUBLISHED,
