@@ -288,8 +288,9 @@ def median_delay(each: Statistic) -> str:
 
 
 def bounds(each: Statistic) -> list[str]:
-    """A number in a CSV file: value, low, high, how these were computed, trials, trials left out."""
-    return [*digits(*each[:3]), each.interval, str(each.trials), str(each.left_out)]
+    """A number in a CSV file, see BOUNDS."""
+    tested = digits(each.p, each.zero_share, each.zero_low, each.zero_high)
+    return [*digits(*each[:3]), each.interval, *tested, str(each.trials), str(each.left_out)]
 
 
 def shown(measure: str, show: Callable[[Statistic], str] = measured) -> Callable[[Row], str]:
@@ -338,8 +339,12 @@ def numbers_of_rows(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequen
     return [*names, "measure", *BOUNDS], lines
 
 
-#: Columns of `bounds`.
-BOUNDS = ("value", "low", "high", "interval", "trials", "trials_left_out")
+#: Columns of `bounds`: a number, its interval, and how that was computed; of a difference its p-value, and the share of
+#: trials in which it is 0; and the number of trials.
+BOUNDS = (
+    *("value", "low", "high", "interval", "p", "zero_share", "zero_low", "zero_high"),
+    *("trials", "trials_left_out"),
+)
 #: Below tables whose numbers have too few trials for intervals.
 FEW_TRIALS = f"Numbers without brackets are of fewer than {MIN_SEEDS} trials, so without an interval."
 

@@ -16,12 +16,11 @@ from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.metrics.causes import ATTACK_CAUSES
 from mast_zenoh.metrics.estimates import LOCAL, PICTURE
 from mast_zenoh.metrics.significance import clearest
-from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Row, Statistic
+from mast_zenoh.metrics.study_results import NAN, Row, Statistic
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.show.findings.words import of_study, paragraph
 from mast_zenoh.show.tables.text_table import (
     DASH,
-    FEW_TRIALS,
     ResultTables,
     measured,
     number,
@@ -31,7 +30,7 @@ from mast_zenoh.show.tables.text_table import (
     table_of_rows,
     whole_percent,
 )
-from mast_zenoh.study.defences.kinds import Factors, Kind
+from mast_zenoh.study.defences.kinds import Factors, Kind, few_trials
 from mast_zenoh.study.numbers import ego, scored_frames
 from mast_zenoh.study.trial import TrialOutcome
 
@@ -171,7 +170,7 @@ class Cooperation(Kind):
             ],
             numbers_of_rows(table),
             [table_of_rows(title, summary, table, _BRIEF)],
-            note=FEW_TRIALS if any(row.trials < MIN_SEEDS for row in table) else "",
+            note=few_trials(row["harm"] for row in table),
             headline=headline(table),
         )
 

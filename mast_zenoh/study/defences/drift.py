@@ -27,20 +27,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Row, Statistic
+from mast_zenoh.metrics.study_results import NAN, Row, Statistic
 from mast_zenoh.show.findings.words import paragraph
 from mast_zenoh.show.tables.text_table import (
-    FEW_TRIALS,
     ResultTables,
-    digits,
     number,
+    numbers_of_rows,
     percent,
     shown,
     table_of_rows,
     whole,
 )
 from mast_zenoh.study.defences.intervals import kaplan_meier, pooled, share_of_trials
-from mast_zenoh.study.defences.kinds import Factors, Kind
+from mast_zenoh.study.defences.kinds import Factors, Kind, few_trials
 from mast_zenoh.study.trial import TrialOutcome
 
 if TYPE_CHECKING:
@@ -96,10 +95,6 @@ class Episode(NamedTuple):
     speed_up: float = NAN
     offset_m: float = NAN
 
-
-#: Measures without an interval, and with one.
-_PLAIN = ("floor_s", "floor_m")
-_MEASURED = ("delay_s", "ratio", "offset_reached_m", "within", "noticed")
 
 #: Two or more: a majority against the liar. One or more: everything that could be noticed at all.
 _OPEN_RANGES = (ViewerRange(2, None), ViewerRange(1, None))
@@ -186,7 +181,7 @@ class Drift(Kind):
         return rows
 
     def tables(self, table: Sequence[Row]) -> ResultTables:
-        """The CSV has a row for each lie and number of viewers (empty: whole runs)."""
+        """The CSV has a row for each lie, number of viewers (empty: whole runs) and measure."""
         whole = [row for row in table if not row.of["viewers"]]
         objects = [row for row in table if row.of["viewers"]]
         drifting = [row for row in objects if row.of["rate_mps"] is not None]
@@ -197,16 +192,14 @@ class Drift(Kind):
             table_of_rows(_OBJECTS, "", objects, _OF_OBJECTS, lie | viewers, texts=2),
             table_of_rows(_OFFSETS, "", drifting, _OF_DRIFTS, {"drift": "label"} | viewers, texts=2),
         ]
-        delays = [row["delay_s"] for row in table]
-        few = any(each.known and not each.interval and each.trials < MIN_SEEDS for each in delays)
         return ResultTables(
             "Displaced objects",
             f"{self.size}. {paragraph('drift_about')}",
             self.size,
             tables if drifting else tables[:-1],
-            _wide(table),
+            numbers_of_rows(table),
             [table_of_rows(_MAJORITY, "", majority, _BRIEF, lie)],
-            FEW_TRIALS if few else "",
+            few_trials(row["delay_s"] for row in table),
         )
 
 
@@ -234,7 +227,7 @@ def _row(factors: Factors, viewers: str, by_trial: Sequence[Sequence[Episode]]) 
     judged = [each for trial in long for each in trial]
     within = sum(each.detected and each.watched_s <= LIMIT_S + _ROUNDING_S for each in judged)
     counts = {"episodes": len(every), "detected": sum(each.detected for each in every), "judged": len(judged)}
-    numbers = {name: Statistic(float(count)) for name, count in counts.items()} | {
+    numbers = {name: Statistic(float(count), trials=len(trials)) for name, count in counts.items()} | {
         "floor_s": Statistic(floor_s),
         "floor_m": Statistic(NAN if rate_mps is None else floor_s * rate_mps),
         "delay_s": over_episodes(_median, lambda each: each.watched_s),
@@ -369,20 +362,6 @@ def _plain(each: Statistic) -> str:
 
 def _share_of_judged(row: Row) -> str:
     return _share(row["within"]) + (f" of {whole(row['judged'])}" if row["within"].known else "")
-
-
-def _wide(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequence[object]]]:
-    """The headings and lines of the CSV file, with a line for each row."""
-    ends = [f"{name}{end}" for name in _MEASURED for end in ("", "_low", "_high")]
-    headings = ["label", "offset_m", "rate_mps", "viewers", "episodes", "detected", "trials", "judged", *_PLAIN, *ends]
-    lines = [
-        [
-            *(*row.of.values(), whole(row["episodes"]), whole(row["detected"]), row.trials, whole(row["judged"])),
-            *digits(*(row[name].value for name in _PLAIN), *(end for name in _MEASURED for end in row[name][:3])),
-        ]
-        for row in rows
-    ]
-    return headings, lines
 
 
 _COUNTED = {"runs": lambda row: str(row.trials)}

@@ -21,12 +21,9 @@ from mast_zenoh.metrics.study_results import NEGLIGIBLE, Row, Statistic, plural
 from mast_zenoh.show.findings.words import of_study, paragraph
 from mast_zenoh.show.tables.study_rows import over_trials
 from mast_zenoh.show.tables.text_table import (
-    BOUNDS,
-    DASH,
     ResultTables,
-    bounds,
-    digits,
     number,
+    numbers_of_rows,
     shown,
     table_of_rows,
 )
@@ -135,7 +132,8 @@ class DrivingMatrix(Kind):
         trials = self.trials[factors].values()
         twin = factors.but(attack="", wire="") if factors["attack"] else None
         undefended = factors.but(defence="") if factors["defence"] else None
-        own = dict.fromkeys(name for each in trials for name in each if name.startswith("own "))
+        own = dict.fromkeys(name for by_key in self.trials.values() for each in by_key.values() for name in each)
+        own = [name for name in own if name.startswith("own ")]
         numbers: dict[str, Statistic] = {}
         for name in (*DRIVING_MEASURES, *own):
             values, short = self.values(factors, name), name.removeprefix("own ")
@@ -171,7 +169,7 @@ class DrivingMatrix(Kind):
         return intervals.share_of_trials(*units)._replace(value=float(happened.sum()), trials=int(known.sum()))
 
     def tables(self, table: Sequence[DrivingRow]) -> ResultTables:
-        """The CSV has a row for each attack, defence, measure and kind of number."""
+        """The CSV has a row for each attack, defence, kind of number and measure."""
         return driving_tables(table, self.size)
 
     def figures(self, table: Sequence[DrivingRow]) -> Mapping[str, RenderedFigure]:
@@ -208,14 +206,14 @@ _KINDS = {
 
 def driving_tables(table: Sequence[DrivingRow], size: str) -> ResultTables:
     """The tables of the study."""
-    own = list(dict.fromkeys(name for row in table for name in _own(row)))
-    named = []
-    for row in table:
-        attack, wire, defence = row.of.values()
-        of = {"attack": attack or _NONE, "on": wire or DASH, "defence": defence or _NONE}
-        unknown = Statistic(left_out=row.trials)
-        numbers = {f"{kind} {name}": unknown for name in own for kind in ("mean", "added")}
-        named.append(replace(row, of=of, numbers={**numbers, **row.numbers}))
+    named = [
+        replace(
+            row, of={"attack": row.of["attack"] or _NONE, "on": row.of["wire"], "defence": row.of["defence"] or _NONE}
+        )
+        for row in table
+    ]
+    own = [name.removeprefix("mean ") for name in (table[0].numbers if table else ()) if name.startswith("mean ")]
+    own = [name for name in own if name not in DRIVING_MEASURES]
     trials: dict[str, Callable[[Row], str]] = {"trials": lambda row: str(row.trials)}
     tables = [
         table_of_rows(
@@ -228,43 +226,34 @@ def driving_tables(table: Sequence[DrivingRow], size: str) -> ResultTables:
     ]
     if own:
         columns = {
-            f"{name}{end}": shown(f"{kind} {name}", over_trials)
+            f"{name}{end}": _of_user(f"{kind} {name}")
             for name in own
             for kind, end in (("mean", ""), ("added", ", added by the attack"))
         }
         tables.append(
             table_of_rows("Your metrics", "Of what the car's agent acts on.", named, trials | columns, texts=3)
         )
-    lines = [(row, kind, name) for row in named for kind in _KINDS for name in row.of_kind(kind)]
-    lines += [(row, kind, name) for row in named for name in own for kind in ("mean", "added")]
-    csv_lines = [
-        [*row.of.values(), kind, name, *bounds(each), *digits(each.zero_share, each.zero_low, each.zero_high)]
-        for row, kind, name in lines
-        for each in [row[f"{kind} {name}"]]
-    ]
     brief: Mapping[str, Callable[[Row], str]] = {
         each.heading: shown(f"mean {name}", lambda mean: number(mean.value)) for name, each in DRIVING_MEASURES.items()
     }
     titled = [Row({"": f"{row.title}, {row.of['defence'] or _NONE}"}, row.trials, row.numbers) for row in table]
     sentences = conclusion(table)
-    headings = ("attack", "on", "defence", "number", "measure", *BOUNDS, "zero_share", "zero_low", "zero_high")
     of_means = "Driving under attack, means of a trial"
     return ResultTables(
         "Driving under attack",
         " ".join([f"{size}.", *sentences, paragraph("driving_about")]),
         size,
         tables,
-        (headings, csv_lines),
+        numbers_of_rows(named),
         [table_of_rows(of_means, " ".join(sentences), titled, brief, {"attack, defence": ""})],
         headline=headline(table),
         reading=sentences,
     )
 
 
-def _own(row: DrivingRow) -> list[str]:
-    """The user's metrics."""
-    names = (name.removeprefix("mean ") for name in row.numbers if name.startswith("mean "))
-    return [name for name in names if name not in DRIVING_MEASURES]
+def _of_user(measure: str) -> Callable[[Row], str]:
+    """The text of a user's metric, which runs without an attack have no difference of."""
+    return lambda row: over_trials(row.numbers.get(measure, Statistic()))
 
 
 def headline(table: Sequence[DrivingRow]) -> str:

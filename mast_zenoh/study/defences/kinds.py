@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import product
@@ -18,8 +18,9 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.config import loading
-from mast_zenoh.metrics.study_results import NAN, Statistic, size_of
+from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Statistic, size_of
 from mast_zenoh.run_folder import write_bytes
+from mast_zenoh.show.tables.text_table import FEW_TRIALS, ResultTables
 from mast_zenoh.study.defences import intervals
 from mast_zenoh.study.trial import TrialKey, TrialOutcome
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
     from mast_zenoh.runs.run import Run
     from mast_zenoh.show.figures.drawing import RenderedFigure
-    from mast_zenoh.show.tables.text_table import ResultTables
 
 
 class Factors(dict[str, Any]):
@@ -139,6 +139,12 @@ class Kind(ABC):
             for suffix in ("png", "pdf"):
                 (folder / f"{name}.{suffix}").unlink(missing_ok=True)
         return StudyFiles(tables, figures, write_files(folder, texts, figures))
+
+
+def few_trials(numbers: Iterable[Statistic]) -> str:
+    """The note below tables whose numbers have too few trials for intervals; "": none has."""
+    few = any(each.known and not each.interval and 0 < each.trials < MIN_SEEDS for each in numbers)
+    return FEW_TRIALS if few else ""
 
 
 def write_files(folder: Path, texts: Mapping[str, str], figures: Mapping[str, RenderedFigure]) -> list[str]:

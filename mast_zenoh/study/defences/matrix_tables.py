@@ -9,12 +9,11 @@ from itertools import product
 from typing import Any
 
 from mast_zenoh.metrics.significance import clearest
-from mast_zenoh.metrics.study_results import MIN_SEEDS, Row, Statistic, Survival, TrustPanel, plural
+from mast_zenoh.metrics.study_results import Row, Statistic, Survival, TrustPanel, plural
 from mast_zenoh.metrics.trust import Roc
 from mast_zenoh.show.findings.words import paragraph
 from mast_zenoh.show.tables.text_table import (
     DASH,
-    FEW_TRIALS,
     ResultTables,
     TextTable,
     measured,
@@ -25,6 +24,7 @@ from mast_zenoh.show.tables.text_table import (
     table_of_rows,
     whole,
 )
+from mast_zenoh.study.defences.kinds import few_trials
 
 #: Measures of a cell, and their headings. Objects are counted per frame in the ego's picture.
 DEFENCE_MEASURES = {
@@ -283,9 +283,6 @@ def defence_tables(matrix: MatrixTable, added: Columns | None = None, about_adde
         *(table for table in damage(matrix) if table.lines),
         TextTable(source.title, source.about, turned, lines, 1),
     ]
-    every = [each for row in matrix.rows for each in row.numbers.values()]
-    few = any(each.known and not each.interval and 0 < each.trials < MIN_SEEDS for each in every)
-    note = FEW_TRIALS if few else ""
     title = "Defences against adversaries"
     return ResultTables(
         title,
@@ -294,7 +291,7 @@ def defence_tables(matrix: MatrixTable, added: Columns | None = None, about_adde
         tables(matrix, source),
         numbers_of_rows(csv_rows(matrix)),
         brief,
-        note,
+        few_trials(each for row in matrix.rows for each in row.numbers.values()),
         headline(matrix),
     )
 

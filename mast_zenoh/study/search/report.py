@@ -10,6 +10,7 @@ import json
 import math
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from mast_zenoh import run_folder
-from mast_zenoh.metrics.study_results import Row, Statistic
+from mast_zenoh.metrics.study_results import Statistic
 from mast_zenoh.show.figures.drawing import RenderedFigure, render
 from mast_zenoh.show.figures.facets import curve
 from mast_zenoh.show.figures.style import LINE_STYLES, Figure, light_axes, plain
@@ -33,6 +34,7 @@ from mast_zenoh.show.tables.text_table import (
     csv_text,
     digits,
     number,
+    numbers_of_rows,
     shown,
     table_of_rows,
 )
@@ -96,44 +98,30 @@ MOST = 10
 #: Decimals of parameters.
 _DIGITS = 4
 _HEADINGS = ("configuration", "search seeds", "held-out seeds", "minus no attack", "minus default")
-#: The columns of search.csv.
-_COLUMNS = (
-    "configuration",
-    "search",
-    *(f"{name}{suffix}" for name in ESTIMATES for suffix in ("", "_low", "_high")),
-    *("p_over_baseline", "p_over_default", "seeds", "seeds_left_out", "optimism", "optimism_over_baseline"),
-)
 
 
 def search_tables(results: SearchResults) -> ResultTables:
     """All tables of a search."""
-    objective, rows = results.plan.objective, results.rows.values()
+    objective, rows = results.plan.objective, [*results.rows.values()]
+    optimism = dict(zip(("optimism", "optimism_over_baseline"), map(Statistic, results.optimism), strict=True))
+    found = results.rows[SEARCHED]
     task = f"{'Maximised' if results.plan.maximise else 'Minimised'}: {objective.label} (`{objective.text}`)"
     columns = {_HEADINGS[1]: shown("search", lambda each: number(each.value))}
     columns |= {heading: shown(name, _text) for heading, name in zip(_HEADINGS[2:], ESTIMATES, strict=True)}
-    held_out = table_of_rows(task, _optimism(results), [*rows], columns)
+    held_out = table_of_rows(task, _optimism(results), rows, columns, {_HEADINGS[0]: _HEADINGS[0]})
     brief = (held_out, _parameters(results))
     return ResultTables(
         title=f"Search {results.study.name}",
         about=f"{task}. {results.size}. Sampler: {results.sampler}.",
         size=results.size,
         tables=(*brief, _best(results)),
-        numbers=(_COLUMNS, [_numbers(row, results) for row in rows]),
+        numbers=numbers_of_rows([*rows, replace(found, numbers=optimism)]),
         brief=brief,
     )
 
 
 def _text(each: Statistic) -> str:
     return over_trials(each) if each.seeds else DASH
-
-
-def _numbers(row: Row, results: SearchResults) -> Sequence[object]:
-    """A line of search.csv, with all digits."""
-    bounds = [value for name in ESTIMATES for value in digits(*row[name][:3])]
-    p = digits(row["over_baseline"].p, row["over_default"].p)
-    optimism = digits(*results.optimism) if row.of["configuration"] == SEARCHED else ["", ""]
-    seeds = row["held_out"].seeds, row["held_out"].seeds_left_out(results.count)
-    return [row.of["configuration"], *digits(row["search"].value), *bounds, *p, *seeds, *optimism]
 
 
 def _optimism(results: SearchResults) -> str:

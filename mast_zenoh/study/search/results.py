@@ -130,9 +130,9 @@ def rows(study: Study, planned: Sequence[Trial], store: Store, searched: Mapping
             name: statistics.trial_estimate(values - by_label[other], (-math.inf, math.inf), paired=True)
             for name, other in pairs.items()
         }
-        of_label["search"] = Statistic(searched.get(label, NAN))
-        of_label["held_out"] = statistics.trial_estimate(values, plan.objective.bounds(agent), rate=rate)
-        result[label] = Row(
-            {"configuration": label}, of_label["held_out"].trials, dict.fromkeys(ESTIMATES, Statistic()) | of_label
-        )
+        held_out = statistics.trial_estimate(values, plan.objective.bounds(agent), rate=rate)
+        numbers_of_label = {"search": Statistic(searched.get(label, NAN))} | dict.fromkeys(ESTIMATES, Statistic())
+        of = {"configuration": label, "seeds": held_out.seeds}
+        of["seeds_left_out"] = held_out.seeds_left_out(values.shape[1])
+        result[label] = Row(of, held_out.trials, numbers_of_label | of_label | {"held_out": held_out})
     return result

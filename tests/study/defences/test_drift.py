@@ -238,4 +238,4 @@ def test_a_small_study_is_carried_out(tmp_path: Path) -> None:
     finished = mast.study("drift", trials=1, jobs=1, frames=20, out=tmp_path / "study", **settings)  # type: ignore[arg-type]
     assert {"drift.md", "drift.csv", "report.html"} <= {path.name for path in finished.path.iterdir()}
     lines = (finished.path / "drift.csv").read_text().splitlines()
-    assert lines[1].startswith("3 agents offset 1 m,1.0,,,1,"), "one of one trial is a row"
+    assert lines[1].startswith("3 agents offset 1 m,1.0,,,episodes,1.0,"), "one of one trial is a row"
