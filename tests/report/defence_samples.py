@@ -16,7 +16,7 @@ from mast_zenoh.metrics.study_results import (
     TrustPanel,
 )
 from mast_zenoh.metrics.trust import roc
-from mast_zenoh.study.defences.matrix_tables import DEFENCE_MEASURES, DefenceRoc, MatrixTable
+from mast_zenoh.study.defences.matrix_table import DEFENCE_MEASURES, MatrixTable
 
 DELAY = Survival(np.array([0.0, 0.3, 11.0]), np.array([1.0, 0.4, 0.4]), 3, 5)
 RUNS = Statistic(0.0, 0.0, 0.07, 48, 0, BINOMIAL)
@@ -59,6 +59,9 @@ def summary(defence: str = "Wall", **changes: Statistic) -> Row:
         fp_added=Statistic(-0.1, -0.2, -0.05, 180, 0, BOOTSTRAP),
         faults_suspended=RUNS,
         framed_by_minority=RUNS,
+        auc=Statistic(0.9, 0.85, 0.95, 48, 0, BOOTSTRAP),
+        partial_auc=Statistic(0.5, math.nan, math.nan, 4),
+        hours=Statistic(1.5),
     )
     return Row({"defence": defence}, 48, values | changes)
 
@@ -78,17 +81,15 @@ def panel(title: str) -> TrustPanel:
 
 def matrix(panels: int = 1, unshown: int = 0) -> MatrixTable:
     rows = [row(defence, attack) for defence in ("Open", "Wall") for attack in ("", "Ghost", "fault:pose")]
-    area = Statistic(0.9, 0.85, 0.95, 48, 0, BOOTSTRAP)
-    curve = DefenceRoc("Wall", roc([1.0, 0.0], [True, False]), area, Statistic(0.5, math.nan, math.nan, 4), 1.5)
     titles = [f"Wall against Ghost{number} (1, worst)" for number in range(panels)]
     size = "6 seeds \u00d7 8 scenes"
     return MatrixTable(
         rows=rows,
-        rocs=[curve],
+        rocs={"Wall": roc([1.0, 0.0], [True, False])},
         delays={"Wall": DELAY},
         summaries=[summary()],
         size=size,
-        state_shares={"Wall": {"lying": {"trusted": SHARE, "suspended": SHARE}}},
+        states=[Row({"defence": "Wall", "conduct": "lying"}, 0, {"trusted": SHARE, "suspended": SHARE})],
         panels=[panel(each) for each in titles],
         unshown=unshown,
     )

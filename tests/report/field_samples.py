@@ -9,7 +9,7 @@ from defence_samples import ATTACKED, matrix, summary
 from defence_samples import row as defence_row
 
 from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Row, Statistic
-from mast_zenoh.study.defences.field_tables import FieldTable, Published, PublishedNumber
+from mast_zenoh.study.defences.matrix_table import MatrixTable, Published
 
 SCENES = ("4 poles", "4 cars")
 IDLE = Statistic(0.0, 0.0, 0.1, 30, 0, BINOMIAL)
@@ -25,7 +25,7 @@ def field(
     scenes: Sequence[str] = SCENES,
     counts: Sequence[int] = (2,),
     idle: bool = False,
-) -> FieldTable:
+) -> MatrixTable:
     """The first defence helps against the first attack, in the first scene most; the last one does harm.
 
     idle: whether the first attack never takes place against the first defence
@@ -76,18 +76,11 @@ def field(
         for scene in ("", *scenes)
         for defence in every
     ]
-    summaries = [
-        Row(
-            {"defence": defence},
-            30,
-            dict(
-                harm_removed=Statistic(0.75, 0.6, 0.9, 30, 0, BOOTSTRAP),
-                cpu_ratio_alone=Statistic(1.5, 1.4, 1.6, 30, 0, BOOTSTRAP),
-                cpu_ratio_attacked=Statistic(1.2, 1.1, 1.3, 30, 0, BOOTSTRAP),
-            ),
-        )
-        for defence in defences
-    ]
+    added = dict(
+        harm_removed=Statistic(0.75, 0.6, 0.9, 30, 0, BOOTSTRAP),
+        cpu_ratio_alone=Statistic(1.5, 1.4, 1.6, 30, 0, BOOTSTRAP),
+        cpu_ratio_attacked=Statistic(1.2, 1.1, 1.3, 30, 0, BOOTSTRAP),
+    )
     wall = Published(
         method="Wall",
         source="Wall & Brick, Journal of Walls 2025",
@@ -97,26 +90,21 @@ def field(
         why="Walls are not tracks.",
     )
     published = [
-        (wall, [PublishedNumber("lies_detected", "Wall", ["Ghost"], Statistic(0.5, 0.4, 0.6, 30, 0, BOOTSTRAP))])
+        (wall, [Row({"defence": "Wall", "attack": "Ghost"}, 30, {"lies_detected": Statistic(0.5, 0.4, 0.6, 30)})])
     ]
-    of_matrix = matrix()
-    of_matrix = replace(
-        of_matrix,
+    return replace(
+        matrix(),
         rows=[
             replace(row, of=row.of | {"n_adversaries": count, "placement": placement})
             for name in every
             for attack, count, placement in places
             for row in [defence_row(name, attack)]
         ],
-        summaries=[summary(name) for name in defences],
-        rocs=[],
+        summaries=[summary(name, **added) for name in defences],
+        rocs={},
         delays={},
-    )
-    return FieldTable(
-        matrix=of_matrix,
         scenes=list(scenes),
-        rows=rows,
+        by_scene=rows,
         breakdowns=breakdowns,
-        summaries=summaries,
         published=published,
     )

@@ -12,7 +12,8 @@ from kept_texts import assert_kept
 from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Statistic
 from mast_zenoh.show.compare import as_text
 from mast_zenoh.show.tables.text_table import measured, median_delay
-from mast_zenoh.study.defences.matrix_tables import DEFENCE_MEASURES, MatrixTable, defence_tables
+from mast_zenoh.study.defences.matrix_table import DEFENCE_MEASURES, MatrixTable
+from mast_zenoh.study.defences.matrix_tables import matrix_tables
 
 
 @pytest.mark.parametrize(
@@ -33,7 +34,7 @@ def test_a_number_has_its_interval_or_why_there_is_none(number: Statistic, text:
 
 
 def test_all_tables_in_text_csv_latex_and_on_a_terminal() -> None:
-    tables = defence_tables(matrix())
+    tables = matrix_tables(matrix())
     latex = tables.as_latex()
     assert_kept("defences", tables.as_markdown(), tables.as_csv(), latex, as_text(tables.as_rich()))
     lines = list(csv.DictReader(io.StringIO(tables.as_csv())))
@@ -51,17 +52,15 @@ def lied(share: float, **measures: Statistic) -> MatrixTable:
     return replace(matrix(), rows=[*rows, row("Wall", "Ghost", attacked=attacked, **measures)])
 
 
-OWN = {"half": Statistic(3.0, 2.0, 4.0, 10), "half difference": Statistic(1.0, 0.5, 1.5, 10)}
+OWN = {"own half": Statistic(3.0, 2.0, 4.0, 10), "own half difference": Statistic(1.0, 0.5, 1.5, 10)}
 CLEAR = row("Wall", "Ghost", damage=Statistic(0.47, 0.24, 0.72, 10, 0, STUDENT, 0.001))
 UNCLEAR = row("Open", "Ghost", damage=Statistic(5.0, -1.0, 11.0, 10, 0, STUDENT, 0.09))
 UNKNOWN = Statistic(math.nan, 1.2, math.inf, 48, 0, BOOTSTRAP)
 CASES: dict[str, MatrixTable] = {
     "the clearest damage": replace(matrix(), rows=[UNCLEAR, CLEAR]),
     "no clear damage": replace(matrix(), rows=[UNCLEAR]),
-    "metrics of the user": replace(matrix(), own=[replace(row("Wall", "Ghost"), numbers=OWN)]),
-    "no attack": replace(
-        matrix(), rows=[row("Open", ""), row("Wall", "")], rocs=[], delays={}, state_shares={}, panels=[]
-    ),
+    "metrics of the user": replace(matrix(), rows=[row("Wall", "Ghost", **OWN)]),
+    "no attack": replace(matrix(), rows=[row("Open", ""), row("Wall", "")], rocs={}, delays={}, states=[], panels=[]),
     "an unknown delay": replace(matrix(), summaries=[summary(median_delay_s=UNKNOWN)]),
     "no lie": lied(0.0, lies_detected=Statistic()),
     "few lies": lied(0.25),
@@ -75,14 +74,14 @@ CASES: dict[str, MatrixTable] = {
 
 def test_what_is_special_in_a_matrix_is_said_in_its_tables() -> None:
     """Kept are the titles of the tables, and the lines that the usual ones do not have."""
-    usual, texts = set(defence_tables(matrix()).as_markdown().splitlines()), []
+    usual, texts = set(matrix_tables(matrix()).as_markdown().splitlines()), []
     for name, case in CASES.items():
-        tables = defence_tables(case)
+        tables = matrix_tables(case)
         titles = ", ".join(table.title for table in tables.tables)
         own = [line for line in tables.as_markdown().splitlines() if line not in usual]
         texts += [f"{name}: {tables.headline}", f"tables: {titles}", *own, ""]
     assert_kept("defences_special", *texts)
-    assert r"reached [1.20, $\infty$" in defence_tables(CASES["an unknown delay"]).as_latex()
+    assert r"reached [1.20, $\infty$)" in matrix_tables(CASES["an unknown delay"]).as_latex()
     assert median_delay(Statistic(math.nan, math.inf, math.inf, 48)) == "not reached"
     assert median_delay(Statistic(math.nan, trials=3)) == "not reached"
-    assert as_text(defence_tables(CASES["few trials"]).as_rich()).count("5 trials") == 1
+    assert as_text(matrix_tables(CASES["few trials"]).as_rich()).count("5 trials") == 1

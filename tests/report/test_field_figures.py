@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 
 from mast_zenoh.show.figures import facets
 from mast_zenoh.show.figures.style import Figure
-from mast_zenoh.study.defences.field_tables import FieldTable
 from mast_zenoh.study.defences.matrix_figures import harm_by_scene
 
 DEFENCES = ("KOfN", "SequentialConsistency", "Robosac", "Cad")
@@ -134,9 +133,7 @@ def test_the_cells_of_a_single_defence_are_not_stretched(drawn: list[Figure]) ->
 
 
 def test_without_a_defence_or_an_attack_there_is_no_figure() -> None:
-    table: FieldTable = field(defences=())
+    table = field(defences=())
     assert harm_by_scene(table) == {}
-    alone = replace(
-        table, matrix=replace(table.matrix, rows=[row for row in table.matrix.rows if not row.of["attack"]])
-    )
+    alone = replace(table, rows=[row for row in table.rows if not row.of["attack"]])
     assert harm_by_scene(alone) == {}

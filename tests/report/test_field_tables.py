@@ -9,12 +9,13 @@ from field_samples import SCENES, field
 from kept_texts import assert_kept
 
 from mast_zenoh.show.compare import as_text
-from mast_zenoh.study.defences.field_tables import FIELD_MEASURES, field_tables, published_tables
+from mast_zenoh.study.defences.matrix_tables import FIELD_MEASURES, matrix_tables
+from mast_zenoh.study.defences.published import published_tables
 
 
 @pytest.mark.parametrize("idle", [False, True])
 def test_all_tables_in_text_csv_latex_and_on_a_terminal(idle: bool) -> None:
-    tables = field_tables(field(idle=idle))
+    tables = matrix_tables(field(idle=idle))
     if idle:  # an attack that never took place
         assert_kept("field_idle", tables.as_markdown())
         return

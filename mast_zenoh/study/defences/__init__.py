@@ -6,7 +6,8 @@
                breakdown (with how many liars a defence breaks), field_matrix (the matrix of published and own methods),
                cooperation (how far a lie reaches, by where tracks are fused), driving_matrix (what attacks do to a
                driven car, with each defence)
-    matrix_trial    what the matrix needs of one trial
+    matrix_trial    what a matrix needs of one trial
+    matrix_table    what a matrix is; matrix_tables, scoreboard, published and matrix_figures show it
     intervals  95 % intervals over trials, and times until detection
 
 See docs/defence_studies.md.

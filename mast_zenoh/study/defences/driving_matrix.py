@@ -132,13 +132,11 @@ class DrivingMatrix(Kind):
         trials = self.trials[factors].values()
         twin = factors.but(attack="", wire="") if factors["attack"] else None
         undefended = factors.but(defence="") if factors["defence"] else None
-        own = dict.fromkeys(name for by_key in self.trials.values() for each in by_key.values() for name in each)
-        own = [name for name in own if name.startswith("own ")]
         numbers: dict[str, Statistic] = {}
-        for name in (*DRIVING_MEASURES, *own):
+        for name in (*DRIVING_MEASURES, *self.own):
             values, short = self.values(factors, name), name.removeprefix("own ")
-            numbers[f"mean {short}"] = self.mean(values, (-math.inf if name in own else 0.0, math.inf))
-            for kind, other in (("added", twin), ("spared", None if name in own else undefended)):
+            numbers[f"mean {short}"] = self.mean(values, (-math.inf if name in self.own else 0.0, math.inf))
+            for kind, other in (("added", twin), ("spared", None if name in self.own else undefended)):
                 if other is not None:
                     numbers[f"{kind} {short}"] = self.mean(values - self.values(other, name), paired=True)
         for name, each in numbers.items():

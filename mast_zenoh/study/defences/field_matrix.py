@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -15,23 +16,15 @@ from mast_zenoh.show.tables.text_table import ResultTables
 from mast_zenoh.study.choices import SCENE_KINDS, UNDEFENDED
 from mast_zenoh.study.defences import breakdown, intervals, matrix
 from mast_zenoh.study.defences.breakdown import HALF, mean_crossing, measures_of_breaking, suspended_before_liars
-from mast_zenoh.study.defences.field_tables import (
-    BY_SUSPENSION,
-    PUBLISHED,
-    FieldTable,
-    Published,
-    PublishedNumber,
-    field_tables,
-    published_tables,
-    scoreboard_tables,
-)
 from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import alone, is_fault, lies, undefended
+from mast_zenoh.study.defences.matrix_table import MatrixTable, Published
+from mast_zenoh.study.defences.published import BY_SUSPENSION, PUBLISHED, published_tables
+from mast_zenoh.study.defences.scoreboard import scoreboard_tables
 from mast_zenoh.study.trial import TrialKey, TrialOutcome
 
 if TYPE_CHECKING:
     from mast_zenoh.runs.run import Run
-    from mast_zenoh.show.figures.drawing import RenderedFigure
 
 _ROUNDING = 1e-12
 #: Titles of kinds of scene.
@@ -72,28 +65,24 @@ class FieldMatrix(matrix.DefenceMatrix):
         broken = measures_of_breaking(outcome, factors["attack_start_s"])
         return broken | super().measures(factors, outcome) | {"cpu_ms": cpu_ms}
 
-    def tables(self, table: Any) -> ResultTables:
-        return field_tables(table)
-
-    def more_tables(self, table: Any) -> Mapping[str, ResultTables]:
+    def more_tables(self, table: MatrixTable) -> Mapping[str, ResultTables]:
         return {"scoreboard": scoreboard_tables(table), "published": published_tables(table)}
 
-    def figures(self, table: Any) -> Mapping[str, RenderedFigure]:
-        from mast_zenoh.study.defences.matrix_figures import figures_of_defences, harm_by_scene
-
-        return harm_by_scene(table) | figures_of_defences(table.matrix)
-
-    def table(self) -> Any:
-        """The FieldTable: the matrix with all that is computed from its trials."""
+    def table(self) -> MatrixTable:
+        """The matrix with all that is computed from its trials."""
         scenes = ["", *self.scenes]
         defences = self.several("defence")
         attacked = [name for name in defences if any(lies(each) for each in self._of_defence(name))]
-        return FieldTable(
-            matrix=super().table(),
+        of_matrix = super().table()
+        added = {name: self._field_summary(name) for name in attacked}
+        return replace(
+            of_matrix,
+            summaries=[
+                replace(row, numbers={**row.numbers, **added.get(row.of["defence"], {})}) for row in of_matrix.summaries
+            ],
             scenes=[scene_title(scene) for scene in self.scenes],
-            rows=[self._field_row(factors, scene) for scene in scenes for factors in self.trials],
+            by_scene=[self._field_row(factors, scene) for scene in scenes for factors in self.trials],
             breakdowns=[self._breakdown(scene, name) for name in attacked for scene in scenes],
-            summaries=[self._field_summary(name) for name in attacked if name != UNDEFENDED],
             published=list(self._published()),
         )
 
@@ -190,18 +179,18 @@ class FieldMatrix(matrix.DefenceMatrix):
 
     # -- summaries and published figures -------------------------------------------------------------------------------
 
-    def _field_summary(self, defence: str) -> Row:
+    def _field_summary(self, defence: str) -> dict[str, Statistic]:
+        """What the summary of a defence has, too."""
         attacked = [each for each in self._of_defence(defence) if lies(each)]
         pairs = [(self._processor(each), self._processor(undefended(each))) for each in attacked]
         without = alone(attacked[0])
         of_alone = self._processor(without), self._processor(undefended(without))
         of_attacked = (np.stack(part) for part in zip(*pairs, strict=True))
-        numbers = {
+        return {
             "harm_removed": self._harm_removed(attacked),
             "cpu_ratio_alone": ratio(*of_alone, scenes=len(self.scenes)),
             "cpu_ratio_attacked": ratio(*of_attacked, scenes=len(self.scenes)),
         }
-        return Row({"defence": defence}, len(self.order), numbers)
 
     def _harm_removed(self, cells: Sequence[Factors]) -> Statistic:
         """1 minus what the attacks of all cells add with the defence over what they add without it.
@@ -219,7 +208,7 @@ class FieldMatrix(matrix.DefenceMatrix):
 
         return intervals.pooled(removed, sums.shape[1])
 
-    def _published(self) -> Iterator[tuple[Published, list[PublishedNumber]]]:
+    def _published(self) -> Iterator[tuple[Published, list[Row]]]:
         """The published methods that this study played, with ours."""
         played = {name for each in self.trials for name in (each["defence"], each["attack"])}
         for entry in PUBLISHED:
@@ -228,12 +217,12 @@ class FieldMatrix(matrix.DefenceMatrix):
                 pairs = product(entry.quantities, chosen)
                 yield entry, [ours for pair in pairs if (ours := self._ours(entry.attacks, *pair)) is not None]
 
-    def _ours(self, among: Sequence[str], quantity: str, defence: str) -> PublishedNumber | None:
+    def _ours(self, among: Sequence[str], quantity: str, defence: str) -> Row | None:
         """One of QUANTITIES under attacks, all if none is named; None: none was played."""
         cells = [each for each in self._of_defence(defence) if lies(each) and (not among or each["attack"] in among)]
         if not cells:
             return None
-        attacks = () if quantity == "fn_added_alone" else tuple(dict.fromkeys(each["attack"] for each in cells))
+        attacks = () if quantity == "fn_added_alone" else dict.fromkeys(each["attack"] for each in cells)
         groups, suspending = self._by_trial(cells), self.suspends(defence)
         detects = suspending or not {each["attack"] for each in cells} <= BY_SUSPENSION
         honest = matrix.state_shares(groups).get("honest", {})
@@ -251,7 +240,8 @@ class FieldMatrix(matrix.DefenceMatrix):
             ),
             "cpu_growth": lambda: self._growth(cells),
         }
-        return PublishedNumber(quantity, defence, attacks, computed[quantity]())
+        value = computed[quantity]()
+        return Row({"defence": defence, "attack": ", ".join(attacks)}, value.trials, {quantity: value})
 
     def _mean_of(self, cells: Sequence[Factors], values: Callable[[Factors], Floats]) -> Statistic:
         """The mean over trials of the mean over cells."""

@@ -124,6 +124,12 @@ class Kind(ABC):
         """The mean over the trials planned for a configuration (n,), in the study's order; see `intervals.mean`."""
         return intervals.mean(values, bounds, scenes=len(self.scenes), paired=paired)
 
+    @property
+    def own(self) -> list[str]:
+        """The user's metrics that any trial has, `own NAME`; see `numbers.own_metrics`."""
+        names = dict.fromkeys(name for done in self.trials.values() for each in done.values() for name in each)
+        return [name for name in names if name.startswith("own ")]
+
     def several(self, name: str) -> list[Any]:
         """The values of a factor, in the order of the study."""
         return list(dict.fromkeys(factors.get(name) for factors in self.trials))

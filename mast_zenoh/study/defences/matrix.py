@@ -15,13 +15,14 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Row, Statistic, Survival, TrustPanel
-from mast_zenoh.metrics.trust import auc, partial_auc, roc
+from mast_zenoh.metrics.trust import Roc, auc, partial_auc, roc
 from mast_zenoh.show.tables.text_table import ResultTables
 from mast_zenoh.study.choices import PREFIX, UNDEFENDED
 from mast_zenoh.study.defences import intervals
 from mast_zenoh.study.defences.intervals import kaplan_meier
 from mast_zenoh.study.defences.kinds import Factors, Kind
-from mast_zenoh.study.defences.matrix_tables import DEFENCE_MEASURES, DefenceRoc, MatrixTable, defence_tables
+from mast_zenoh.study.defences.matrix_table import DEFENCE_MEASURES, MatrixTable
+from mast_zenoh.study.defences.matrix_tables import matrix_tables
 from mast_zenoh.study.numbers import ego, own_metrics
 from mast_zenoh.study.trial import TrialKey, TrialOutcome
 
@@ -169,8 +170,8 @@ class DefenceMatrix(Kind):
         )
         return any(states.get("suspended") for each in trials for states in each["seconds"].values())
 
-    def table(self) -> Any:
-        """The MatrixTable: the rows of all cells, each with the budget that does the most damage."""
+    def table(self) -> MatrixTable:
+        """The rows of all cells, each with the budget that does the most damage."""
         groups: dict[Factors, list[Factors]] = {}
         for factors in self.trials:
             groups.setdefault(factors.but(budget=None), []).append(factors)
@@ -180,18 +181,22 @@ class DefenceMatrix(Kind):
         cells_of = {name: [factors for factors in self.trials if factors["defence"] == name] for name in every}
         trials = {name: self._by_trial(cells) for name, cells in cells_of.items()}
         delays = {name: delay_curve(trials[name]) for name in defences if self.suspends(name)}
-        curves = [characteristic(name, self._by_trial(cells_of[name], idle=False)) for name in defences]
+        curves = {name: characteristic(self._by_trial(cells_of[name], idle=False)) for name in defences}
         panels, unshown = self._panels([*worst])
         return MatrixTable(
             rows=[self._row(factors, budgets) for factors, budgets in worst.items()],
-            rocs=[curve for curve in curves if curve is not None],
+            rocs={name: curve[0] for name, curve in curves.items() if curve is not None},
             delays={name: delay for name, delay in delays.items() if delay is not None},
             summaries=[
-                self._summary(name, [factors for factors in worst if factors["defence"] == name]) for name in defences
+                self._summary(name, [factors for factors in worst if factors["defence"] == name], curves[name])
+                for name in defences
             ],
             size=self.size,
-            own=[self._own(factors, budgets) for factors, budgets in worst.items()],
-            state_shares={name: state_shares(each) for name, each in trials.items()},
+            states=[
+                Row({"defence": name, "conduct": conduct}, 0, shares)
+                for name, each in trials.items()
+                for conduct, shares in state_shares(each).items()
+            ],
             panels=panels,
             unshown=unshown,
             not_suspending=[
@@ -201,10 +206,10 @@ class DefenceMatrix(Kind):
             ],
         )
 
-    def tables(self, table: Any) -> ResultTables:
-        return defence_tables(table)
+    def tables(self, table: MatrixTable) -> ResultTables:
+        return matrix_tables(table)
 
-    def figures(self, table: Any) -> Mapping[str, RenderedFigure]:
+    def figures(self, table: MatrixTable) -> Mapping[str, RenderedFigure]:
         from mast_zenoh.study.defences.matrix_figures import figures_of_defences  # drawing libraries are slow to load
 
         return figures_of_defences(table)
@@ -253,19 +258,14 @@ class DefenceMatrix(Kind):
             for conduct, states in each["seconds"].items():
                 seconds.update({f"seconds {conduct} {state}": seconds_s for state, seconds_s in states.items()})
         numbers |= {name: Statistic(float(each), trials=len(groups)) for name, each in (counts | dict(seconds)).items()}
-        return Row(_of(factors, budgets), len(groups), {name: numbers[name] for name in (*DEFENCE_MEASURES, *seconds)})
+        own = {name: self.mean(self.values(factors, name)) for name in self.own}
+        own |= {f"{name} difference": self.mean(self.added(factors, name), paired=True) for name in self.own}
+        of = {name: factors[name] for name in ("defence", "attack", "n_adversaries", "placement", "budget")}
+        names = (*DEFENCE_MEASURES, *seconds)
+        return Row(of | {"budgets": budgets}, len(groups), {name: numbers[name] for name in names} | own)
 
-    def _own(self, factors: Factors, budgets: int) -> Row:
-        trials = self.trials[factors].values()
-        numbers = {}
-        for name in dict.fromkeys(name for each in trials for name in each if name.startswith("own ")):
-            short = name.removeprefix("own ")
-            numbers[short] = self.mean(self.values(factors, name))
-            numbers[f"{short} difference"] = self.mean(self.added(factors, name), paired=True)
-        return Row(_of(factors, budgets), len(trials), numbers)
-
-    def _summary(self, defence: str, cells: Sequence[Factors]) -> Row:
-        """cells: of the rows of this defence."""
+    def _summary(self, defence: str, cells: Sequence[Factors], curve: tuple[Roc, dict[str, Statistic]] | None) -> Row:
+        """cells: of the rows of this defence;  curve: its `characteristic`"""
         without, attacked = alone(cells[0]), [factors for factors in cells if lies(factors)]
         lying, faulty = self._by_trial(attacked), self._by_trial(filter(is_fault, cells))
         quiet = self._by_trial([without] if without in self.trials else [])
@@ -281,6 +281,7 @@ class DefenceMatrix(Kind):
             "fp_added": self.mean(self.added(without, "fp"), paired=True),
             "faults_suspended": shares_of_runs(faulty)["wrongly_suspended"],
             "framed_by_minority": shares_of_runs(lying)["framed_by_minority"],
+            **(curve[1] if curve else {}),
         }
         return Row({"defence": defence}, len(lying), numbers)
 
@@ -341,11 +342,6 @@ class DefenceMatrix(Kind):
         shown = [first[pair] for pair in pairs[:MAX_PANELS]]
         title = "{defence} against {attack} ({n_adversaries}, {placement})"
         return [panel(self._traces[each][1], title.format_map(each)) for each in shown], len(pairs) - len(shown)
-
-
-def _of(factors: Factors, budgets: int) -> dict[str, Any]:
-    names = ("defence", "attack", "n_adversaries", "placement", "budget")
-    return {name: factors[name] for name in names} | {"budgets": budgets}
 
 
 def _known(value: float | None) -> float:
@@ -424,8 +420,11 @@ def state_shares(groups: Groups) -> dict[str, dict[str, Statistic]]:
     return shares
 
 
-def characteristic(defence: str, groups: Groups) -> DefenceRoc | None:
-    """The characteristic of one score for each agent and run; None if nobody lied, or scores are equal or unknown."""
+def characteristic(groups: Groups) -> tuple[Roc, dict[str, Statistic]] | None:
+    """The characteristic of one score for each agent and run; None if nobody lied, or scores are equal or unknown.
+
+    With auc, partial_auc, which is unknown for less than an hour, and hours of all runs together.
+    """
     judged = [group for group in groups if any(each["hours"] for each in group)]
     parts, hours = _pairs(judged, "suspicion"), np.array(_sums(judged, "hours"))
     pairs = np.concatenate([np.zeros((0, 2)), *parts])
@@ -443,7 +442,8 @@ def characteristic(defence: str, groups: Groups) -> DefenceRoc | None:
     whole = intervals.pooled(area, len(parts))
     enough = hours.sum() * ALARMS_PER_HOUR >= 1.0  # a single alarm in less is more than that
     below = intervals.pooled(partial, len(parts)) if enough else Statistic()
-    return DefenceRoc(defence, roc(pairs[:, 0], pairs[:, 1]), whole, below, float(hours.sum()))
+    numbers = {"auc": whole, "partial_auc": below, "hours": Statistic(float(hours.sum()), trials=len(parts))}
+    return roc(pairs[:, 0], pairs[:, 1]), numbers
 
 
 def _pairs(groups: Groups, name: str) -> list[Floats]:

@@ -17,8 +17,7 @@ from mast_zenoh.show.figures.trust import trust_figure
 from mast_zenoh.show.findings.words import paragraph
 from mast_zenoh.show.palette import INK, LOCAL, RUN_COLOURS
 from mast_zenoh.show.tables.text_table import number
-from mast_zenoh.study.defences.field_tables import FieldTable
-from mast_zenoh.study.defences.matrix_tables import MatrixTable
+from mast_zenoh.study.defences.matrix_table import MatrixTable
 
 
 def figures_of_defences(matrix: MatrixTable) -> dict[str, RenderedFigure]:
@@ -33,7 +32,7 @@ def figures_of_defences(matrix: MatrixTable) -> dict[str, RenderedFigure]:
         figures["roc"] = _rocs(matrix)
     if matrix.panels:
         figures["trust_over_time"] = trust_figure(matrix.panels, matrix.unshown)
-    return figures
+    return harm_by_scene(matrix) | figures
 
 
 def _heat_maps(matrix: MatrixTable) -> RenderedFigure:
@@ -106,12 +105,16 @@ def _rocs(matrix: MatrixTable) -> RenderedFigure:
     above = "agent-runs above the threshold (%)"
     figure, axes = _empty((5.6, 4.4), f"honest {above}", f"lying {above}")
     axes.plot([0, 100], [0, 100], color=LOCAL, linewidth=0.8)
-    for each in matrix.rocs:
-        x, y = 100.0 * each.roc.false_positive_rate, 100.0 * each.roc.true_positive_rate
-        axes.plot(x, y, **_line(matrix, each.defence, f"{each.defence}: AUC {number(each.auc.value)}"))
+    areas = {
+        row.of["defence"]: number(row["auc"].value) for row in matrix.summaries if row.of["defence"] in matrix.rocs
+    }
+    for defence, area in areas.items():
+        curve = matrix.rocs[defence]
+        x, y = 100.0 * curve.false_positive_rate, 100.0 * curve.true_positive_rate
+        axes.plot(x, y, **_line(matrix, defence, f"{defence}: AUC {area}"))
     axes.legend(frameon=False, fontsize=9, labelcolor=INK, loc="lower right")
     caption = paragraph("figure_roc")
-    values = "; ".join(f"{each.defence} {number(each.auc.value)}" for each in matrix.rocs)
+    values = "; ".join(f"{defence} {area}" for defence, area in areas.items())
     return render("roc", figure, f"Receiver operating characteristics, areas below: {values}.", caption, printed=True)
 
 
@@ -149,16 +152,16 @@ def _agents(count: object) -> str:
     return f"{count} adversar{'y' if count == 1 else 'ies'}"
 
 
-def harm_by_scene(table: FieldTable) -> dict[str, RenderedFigure]:
+def harm_by_scene(matrix: MatrixTable) -> dict[str, RenderedFigure]:
     """For a paper: a panel for each kind of scene (lines), and number and placement of the adversaries (columns)."""
-    defences, attacks = table.matrix.names("defence")[1:], ["", *table.matrix.names("attack")]
-    if not defences or len(attacks) == 1:
+    defences, attacks = matrix.names("defence")[1:], ["", *matrix.names("attack")]
+    if not (matrix.scenes and defences) or len(attacks) == 1:
         return {}
-    cells = {tuple(row.of.values()): row for row in table.rows}
+    cells = {tuple(row.of.values()): row for row in matrix.by_scene}
     places = list(dict.fromkeys(key[3:] for key in cells if key[2]))
     several = [len({place[at] for place in places}) > 1 for at in (0, 1)]
     maps: list[list[HeatMap]] = []
-    for scene in table.scenes:
+    for scene in matrix.scenes:
         maps.append([])
         for column, place in enumerate(places):
             shown = attacks[bool(column) :]  # without an attack, the numbers are the same in all columns
@@ -172,20 +175,20 @@ def harm_by_scene(table: FieldTable) -> dict[str, RenderedFigure]:
     adversaries = f"{_agents(places[0][0])}, {places[0][1]}" if len(places) == 1 else "n: number of adversaries"
     caption = paragraph(
         "figure_harm",
-        size=table.matrix.size,
+        size=matrix.size,
         adversaries=adversaries,
-        marked=" ".join(marks([row for row in table.rows if row.of["scene"]])),
+        marked=" ".join(marks([row for row in matrix.by_scene if row.of["scene"]])),
     )
-    alt = f"Heat maps of harm relative to no defence. {_best(table)}"
+    alt = f"Heat maps of harm relative to no defence. {_best(matrix)}"
     return {"harm_by_scene": render("harm_by_scene", figure, alt, caption, printed=True)}
 
 
-def _best(table: FieldTable) -> str:
+def _best(matrix: MatrixTable) -> str:
     """By scene, the cells in which a defence helps and harms most."""
     parts = []
-    for scene in table.scenes:
-        rows = [row for row in table.rows if row.of["scene"] == scene and row["harm"].known and not row.idle]
-        rows = [row for row in rows if row.of["defence"] in table.matrix.names("defence")[1:]]
+    for scene in matrix.scenes:
+        rows = [row for row in matrix.by_scene if row.of["scene"] == scene and row["harm"].known and not row.idle]
+        rows = [row for row in rows if row.of["defence"] in matrix.names("defence")[1:]]
         if rows:
             least, most = (choose(rows, key=lambda row: row["harm"].value) for choose in (min, max))
             texts = (

@@ -22,16 +22,11 @@ from mast_zenoh.metrics.study_results import Row
 from mast_zenoh.study import definition, execution, trials
 from mast_zenoh.study.choices import COORDINATED, UNCOORDINATED
 from mast_zenoh.study.defences.field_matrix import FieldMatrix, ratio, scene_title
-from mast_zenoh.study.defences.field_tables import (
-    PUBLISHED,
-    QUANTITIES,
-    FieldTable,
-    counts_of,
-    field_tables,
-    published_tables,
-)
 from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import NO_LIES, undefended
+from mast_zenoh.study.defences.matrix_table import MatrixTable
+from mast_zenoh.study.defences.matrix_tables import counts_of, matrix_tables
+from mast_zenoh.study.defences.published import PUBLISHED, QUANTITIES, published_tables
 
 POLES, MANY = "intersection:8, 4, 0", "intersection:8, 8, 4"
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")
@@ -160,7 +155,7 @@ def trial(
     return dict(metrics=metrics, per_frame=per_frame, cpu_s=cpu_s)
 
 
-def collected(played: dict[Factors, Any], scenes: tuple[str, ...] = (POLES,), seeds: range = SEEDS) -> FieldTable:
+def collected(played: dict[Factors, Any], scenes: tuple[str, ...] = (POLES,), seeds: range = SEEDS) -> MatrixTable:
     """The matrix of trials; played: of each cell, a function of the scene and the seed that returns a `trial`."""
     collection = FieldMatrix({str(each): each for each in played}, scenes, list(seeds))
     for each, content in played.items():
@@ -169,7 +164,7 @@ def collected(played: dict[Factors, Any], scenes: tuple[str, ...] = (POLES,), se
                 parts = content(scene, seed)
                 single = outcome(str(each), scene, seed, parts["metrics"], parts["per_frame"])
                 collection.add(replace(single, cpu_s=parts["cpu_s"]))
-    result: FieldTable = collection.table()
+    result: MatrixTable = collection.table()
     return result
 
 
@@ -185,9 +180,9 @@ def broken_of(breakdown: Row) -> list[float]:
     return [breakdown[f"broken {count}"].value for count in counts_of(breakdown)]
 
 
-def by_cell(table: FieldTable, defence: str, attack: str = "Ghost", liars: int = 2, scene: str = "") -> Row:
+def by_cell(table: MatrixTable, defence: str, attack: str = "Ghost", liars: int = 2, scene: str = "") -> Row:
     cell = (scene, defence, attack, liars if attack else 0, "random" if attack else "")
-    return next(row for row in table.rows if tuple(row.of.values()) == cell)
+    return next(row for row in table.by_scene if tuple(row.of.values()) == cell)
 
 
 NOTHING = {cell("NoIntegrity"): always(fp=0.0), cell("Cad"): always(fp=0.5)}
@@ -253,7 +248,7 @@ def test_a_defence_breaks_where_half_of_the_runs_are_worse_than_the_ego_alone_or
     point = defended["breaks_at"]
     assert (point.value, defended.of["weakest"], max(counts_of(defended))) == (2.0, "Ghost", 3)
     assert 1.5 <= point.low < 2.0 <= point.high < 3.0
-    line = next(each for each in field_tables(table).tables if each.title == "Breakdown").lines[1]
+    line = next(each for each in matrix_tables(table).tables if each.title == "Breakdown").lines[1]
     assert line[:3] == ["NoIntegrity", "4 poles", "5"]
     assert line[-2].startswith("30"), "1.5 of five agents"
 
@@ -266,7 +261,7 @@ def test_a_suspension_that_happens_without_an_attack_too_does_not_break_a_defenc
     assert quiet.breakdowns[2]["broken 2"].value == 1.0
     assert noisy.breakdowns[2]["broken 2"].value == 0.0
     assert noisy.breakdowns[2]["breaks_at"].value == math.inf
-    assert "> 2" in field_tables(noisy).as_markdown().splitlines()[-1]
+    assert "> 2" in matrix_tables(noisy).as_markdown().splitlines()[-1]
 
 
 def test_a_defence_is_weakest_against_the_attack_that_breaks_it_with_the_fewest() -> None:
@@ -302,13 +297,13 @@ def test_a_single_number_of_adversaries_is_a_bound_without_interpolation() -> No
     (of_cad,) = (each for each in table.breakdowns if (each.of["scene"], each.of["defence"]) == ("", "Cad"))
     assert (of_cad["breaks_at"].value, of_cad["breaks_at"].interval, counts_of(of_cad)) == (2.0, "", [0, 2])
     assert (of_cad.of["weakest"], of_cad["weakest_at"].value) == ("Strong", 2.0), "it breaks more of the runs"
-    summary = field_tables(table).tables[-1]
+    summary = matrix_tables(table).tables[-1]
     line = dict(zip(summary.headings, summary.lines[0], strict=True))
     assert line["breaks at (adversaries)"] == "\u2264 2"
     assert line["weakest against"] == "Strong (\u2264 2)"
     holding = played | {weak: always(fp=1.0, liars=2), undefended(weak): always(fp=1.0, liars=2)}
     holding[ghosts("Cad", attack="Other")] = holding[ghosts("NoIntegrity", attack="Other")] = always(fp=1.0, liars=2)
-    summary = field_tables(collected(holding)).tables[-1]  # type: ignore[arg-type]
+    summary = matrix_tables(collected(holding)).tables[-1]  # type: ignore[arg-type]
     line = dict(zip(summary.headings, summary.lines[0], strict=True))
     assert (line["breaks at (adversaries)"], line["weakest against"]) == ("> 2", "Strong (\u2264 2)")
     assert "false alarms that happen anyway break nothing" in summary.about
@@ -346,7 +341,7 @@ def test_a_figure_from_an_abstract_or_notes_says_that_it_was_not_checked() -> No
     }
 
 
-def published(detected: int) -> FieldTable:
+def published(detected: int) -> MatrixTable:
     attacks = {
         ghosts("NoIntegrity"): always(fp=4.0, liars=2),
         ghosts("Cad"): always(fp=1.0, liars=2, detected=detected),
@@ -380,14 +375,14 @@ def test_a_stage_that_suspends_nobody_has_no_share_of_moved_objects_detected(
         ghosts("Cad", attack="PosePert"): always(fp=0.0, liars=2, suspended=suspended),
     }
     (found,) = (ours for each, ours in collected(played).published if each.method == "PosePert")
-    assert [ours.value.known for ours in found] == [known]
+    assert [value.known for ours in found for value in ours.numbers.values()] == [known]
 
 
 def test_published_figures_are_written_as_csv_and_ascii_latex_with_wrapped_columns() -> None:
     tables = published_tables(published(2))
     rows = list(csv.DictReader(io.StringIO(tables.as_csv())))
     assert {row["method"] for row in rows} == {"Cad", "Flood"}
-    assert [float(row["value"]) for row in rows if row["measure"].startswith("observable lies")] == [0.25]
+    assert [float(row["value"]) for row in rows if row["measure"] == "lies_detected"] == [0.25]
     latex = [line for line in tables.as_latex().splitlines() if not line.startswith("%")]
     assert all(line.isascii() for line in latex)
     assert latex[0].count(r"\linewidth") == len(tables.tables[0].headings)
@@ -406,10 +401,10 @@ def test_every_published_quantity_is_computed_from_trials_of_its_method() -> Non
     for each, numbers in table.published:
         assert numbers, each.method
         for ours in numbers:
-            assert ours.value.known, (each.method, ours.quantity)
+            assert all(value.known for value in ours.numbers.values()), (each.method, ours.numbers)
     (flip,) = (ours for each, ours in table.published if each.method == "TrustFlip")
-    assert {ours.defence for ours in flip} == set(defences) - {"NoIntegrity"}
-    assert {ours.value.value for ours in flip} == {0.5}, "one of two"
+    assert {ours.of["defence"] for ours in flip} == set(defences) - {"NoIntegrity"}
+    assert {value.value for ours in flip for value in ours.numbers.values()} == {0.5}, "one of two"
 
 
 # -- whole studies -----------------------------------------------------------------------------------------------------

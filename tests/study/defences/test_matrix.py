@@ -16,7 +16,7 @@ import mast_zenoh as mast
 from mast_zenoh.metrics.study_results import BINOMIAL, Row, Statistic
 from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import MAX_AGENTS, DefenceMatrix, doubts, is_fault, panel, undefended
-from mast_zenoh.study.defences.matrix_tables import MatrixTable
+from mast_zenoh.study.defences.matrix_table import MatrixTable
 from mast_zenoh.study.defences.matrix_trial import detected_lies, outnumbered, trace
 from mast_zenoh.study.defences.placements import by_coverage, honest_majority
 
@@ -270,13 +270,13 @@ def test_delays_characteristics_and_time_in_each_state_are_over_all_trials_of_a_
     assert set(matrix.delays) == {"Wall"}, "without trust nobody is watched"
     delay = matrix.delays["Wall"]
     assert (delay.detections, delay.watched, delay.median_s) == (5, 10, 1.0)
-    (curve,) = matrix.rocs
-    assert (curve.defence, curve.auc.value) == ("Wall", 1.0)
-    assert math.isnan(curve.auc.low), "a perfect separation in all trials does not say how good it is in others"
-    assert curve.hours == pytest.approx(15 * 0.01)
-    assert set(matrix.state_shares["Wall"]) == {"honest"}
-    assert matrix.state_shares["Wall"]["honest"]["suspended"].value == pytest.approx(0.1)
-    assert matrix.state_shares["NoIntegrity"] == {}
+    (summary,) = matrix.summaries
+    assert (list(matrix.rocs), summary["auc"].value) == (["Wall"], 1.0)
+    assert math.isnan(summary["auc"].low), "a perfect separation in all trials does not say how good it is in others"
+    assert summary["hours"].value == pytest.approx(15 * 0.01)
+    (honest,) = matrix.states
+    assert honest.of == {"defence": "Wall", "conduct": "honest"}
+    assert honest["suspended"].value == pytest.approx(0.1)
 
 
 def test_a_failed_trial_is_left_out() -> None:
@@ -392,12 +392,12 @@ def test_only_runs_with_a_lie_say_what_a_defence_removes_and_tells_apart() -> No
     assert (row.numbers["attacked"].value, row.idle) == (0.5, False)
     removed = row.numbers["identifiable_removed"]
     assert (removed.value, removed.trials, removed.left_out) == (pytest.approx(1.0 - 1.5 / 3.0), 2, 2)
-    (curve,) = half.rocs
-    assert (curve.roc.honest, curve.roc.liars) == (2 + 4 * 2, 2), "runs without an attack count"
+    curve = half.rocs["Wall"]
+    assert (curve.honest, curve.liars) == (2 + 4 * 2, 2), "runs without an attack count"
     never = played(silent, silent)
     assert math.isnan(row_of(never).numbers["identifiable_removed"].value)
     assert math.isnan(never.summaries[0].numbers["identifiable_removed"].value)
-    assert never.rocs == []
+    assert never.rocs == {}
 
 
 def test_a_false_alarm_before_the_first_lie_is_no_delay_and_is_counted_apart() -> None:
@@ -428,9 +428,9 @@ def test_a_defence_that_suspends_nobody_has_no_delay_and_no_curve() -> None:
 
 def test_the_area_below_one_alarm_per_hour_needs_an_hour() -> None:
     short = played(metrics(1.0, trusted=True, lied=True))
-    assert short.rocs[0].auc.known
-    assert not short.rocs[0].partial_auc.known
+    assert short.summaries[0]["auc"].known
+    assert not short.summaries[0]["partial_auc"].known
     hours = [metrics(1.0, trusted=True, lied=True) for _ in range(2)]
     for content in hours:
         content["integrity"]["hours"] = 0.5
-    assert played(*hours).rocs[0].partial_auc.value == 1.0
+    assert played(*hours).summaries[0]["partial_auc"].value == 1.0

@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 from test_field_matrix import MANY, POLES, cell, collected, ghosts, trial
 
-from mast_zenoh.study.defences.field_tables import FieldTable, Scoreboard, field_tables, scoreboard_tables
+from mast_zenoh.study.defences.matrix_table import MatrixTable
+from mast_zenoh.study.defences.matrix_tables import matrix_tables
+from mast_zenoh.study.defences.scoreboard import Scoreboard, scoreboard_tables
 
 SCENES = (POLES, MANY)
 #: Errors of each seed around the mean.
@@ -19,7 +21,7 @@ NOISE = (-0.3, 0.1, 0.3, -0.1, 0.2, -0.2)
 
 def table_of(
     errors: Mapping[str, Mapping[str, tuple[float, float]]], silent: tuple[str, str] = ("", ""), seeds: int = 6
-) -> FieldTable:
+) -> MatrixTable:
     """A matrix; errors: false objects by defence and attack ("": none), in the scene with poles and in that with all.
 
     silent: defence and attack in which the adversaries never lie
@@ -139,7 +141,7 @@ def test_without_adversaries_or_defences_there_is_no_scoreboard() -> None:
 
 
 def test_the_page_and_the_terminal_begin_with_the_scoreboard() -> None:
-    tables = field_tables(table_of(ERRORS))
+    tables = matrix_tables(table_of(ERRORS))
     assert tables.tables[0].title == tables.brief[0].title == "Scoreboard"
     assert len(tables.reading) == 5
     assert all(text in tables.brief[0].about for text in tables.reading)
