@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from mast_zenoh.api.catalogue import Listing as Listing
     from mast_zenoh.api.catalogue import list_kind as list
-    from mast_zenoh.api.execution import open_run as open
     from mast_zenoh.api.execution import run as run
     from mast_zenoh.api.runs import OpenedRun as Run
     from mast_zenoh.api.scenes import PreparedScene as PreparedScene
@@ -28,7 +27,8 @@ if TYPE_CHECKING:
     from mast_zenoh.errors import MastError as MastError
     from mast_zenoh.show.compare import Comparison as Comparison
     from mast_zenoh.show.compare import compare as compare
-    from mast_zenoh.study.interface import FinishedStudy as FinishedStudy
+    from mast_zenoh.study.finished import FinishedStudy as FinishedStudy
+    from mast_zenoh.study.finished import open_folder as open
     from mast_zenoh.study.interface import carry_out as study
     from mast_zenoh.version import __version__ as __version__
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 #: (see mast_zenoh/study/__init__.py).
 _PLACES = {
     "Comparison": ("mast_zenoh.show.compare", "Comparison"),
-    "FinishedStudy": ("mast_zenoh.study.interface", "FinishedStudy"),
+    "FinishedStudy": ("mast_zenoh.study.finished", "FinishedStudy"),
     "Listing": ("mast_zenoh.api.catalogue", "Listing"),
     "MastError": ("mast_zenoh.errors", "MastError"),
     "PreparedScene": ("mast_zenoh.api.scenes", "PreparedScene"),
@@ -44,7 +44,7 @@ _PLACES = {
     "__version__": ("mast_zenoh.version", "__version__"),
     "compare": ("mast_zenoh.show.compare", "compare"),
     "list": ("mast_zenoh.api.catalogue", "list_kind"),
-    "open": ("mast_zenoh.api.execution", "open_run"),
+    "open": ("mast_zenoh.study.finished", "open_folder"),
     "run": ("mast_zenoh.api.execution", "run"),
     "scene": ("mast_zenoh.api.scenes", "prepare"),
 }

@@ -81,11 +81,6 @@ def run(
     return result
 
 
-def open_run(path: str | Path) -> OpenedRun:
-    """Open the folder of a finished or running run; raises RunFolderError if none."""
-    return OpenedRun(path)
-
-
 def _call(scenario: Scenario, arguments: Mapping[str, Any]) -> str:
     """The call that starts a run, shortened, for run.json."""
     name = repr(str(scenario)) if isinstance(scenario, (str, Path)) else getattr(scenario, "__name__", "a dict")

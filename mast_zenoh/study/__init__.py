@@ -2,7 +2,8 @@
 
 The package can be called: `mast_zenoh.study("case_study")` carries out a study.
 
-    interface   what calling the package does, and the object that it returns; runs every configuration once
+    interface   what calling the package does; runs every configuration once
+    finished    a finished study as an object
     choices     what study files name: presets, kinds of scene, defences, adversaries
     definition  study files: validation, and expansion of grids into configurations
     trials      many seeds: plans, runs and resumes trials
@@ -25,7 +26,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mast_zenoh.study.interface import FinishedStudy
+    from mast_zenoh.study.finished import FinishedStudy
 
 
 class _Study(ModuleType):

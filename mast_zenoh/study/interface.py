@@ -2,91 +2,28 @@
 
 from __future__ import annotations
 
-import html
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import pyarrow
-from pyarrow import csv
 from rich.console import Console
 
 from mast_zenoh import run_folder, scenario
-from mast_zenoh.api.runs import OpenedRun
 from mast_zenoh.config.allowed_code import OWN_RUN
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.errors import ConfigurationError, HandlerFailed, MastError, RunFolderError
+from mast_zenoh.errors import ConfigurationError, HandlerFailed, MastError
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch import twin
-from mast_zenoh.run_folder.tables import read_arrow
-from mast_zenoh.show.compare import Comparison, as_text
+from mast_zenoh.show.compare import as_text
 from mast_zenoh.study import definition, execution
 from mast_zenoh.study import trials as repeated_runs
 from mast_zenoh.study.definition import DRIVEN, Configuration, Study
+from mast_zenoh.study.finished import FinishedStudy
 from mast_zenoh.study.store import new_folder, status_written
 from mast_zenoh.study.tables import StudyResult
 from mast_zenoh.study.trial import run_command
-
-
-class FinishedStudy:
-    """A finished study and its tables.
-
-    path:   its folder
-    report: its HTML page
-    runs:   the run of each configuration by label, if each was run once; {} for many trials
-    """
-
-    def __init__(self, path: Path, report: Path, runs: Mapping[str, OpenedRun], text: str = "") -> None:
-        self.path = path
-        self.report = report
-        self.runs = dict(runs)
-        self._text = text
-
-    def table(self) -> pyarrow.Table:
-        """The estimates.
-
-        For many trials: a row per configuration and series, with intervals (table.csv, docs/studies.md). If each
-        configuration was run once: the table of `mast_zenoh.compare`.
-        """
-        if self.runs:
-            return self.comparison.table
-        return csv.read_csv(self.path / "table.csv")
-
-    @property
-    def comparison(self) -> Comparison:
-        """The runs compared with the first; only if each configuration was run once."""
-        if not self.runs:
-            raise ConfigurationError(f"{self.path}: a study with trials keeps no runs: expected one without `trials`")
-        baseline = ["baseline"] if "baseline" in self.runs else []
-        labels = [*baseline, *(label for label in self.runs if label not in baseline)]
-        return Comparison(tuple(self.runs[label] for label in labels))
-
-    @property
-    def results(self) -> pyarrow.Table:
-        """A row per trial and metric (docs/studies.md)."""
-        return self._of_trials("results.parquet")
-
-    @property
-    def frames(self) -> pyarrow.Table:
-        """A row per trial, frame, agent and estimator (docs/studies.md)."""
-        return self._of_trials("frames.parquet")
-
-    def _of_trials(self, name: str) -> pyarrow.Table:
-        if not (self.path / name).is_file():
-            raise RunFolderError(f"{self.path / name}: missing: only a study with `trials` writes it")
-        return read_arrow(self.path / name)
-
-    def __str__(self) -> str:
-        """The main results, as on the terminal."""
-        return str(self.comparison) if self.runs else self._text
-
-    def __repr__(self) -> str:
-        return f"<FinishedStudy {self.path.name}: .table(), .report; {self.path}>"
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(str(self))}</pre><p>Report: {html.escape(str(self.report))}</p>"
 
 
 def carry_out(
@@ -133,12 +70,12 @@ def carry_out(
     finished = run(loaded, folder, **chosen, record=record, allow_failures=allow_failures)
     if isinstance(finished, StudyResult):
         _raise(finished, finished.out)
-        return FinishedStudy(finished.out, finished.report, {}, as_text(finished.as_rich()))
+        return FinishedStudy(finished.out, as_text(finished.as_rich()))
     from mast_zenoh.show.html import write_study_report  # drawing libraries are slow to load
 
-    page = write_study_report(finished.out, finished.folders, driven=finished.drive())
+    write_study_report(finished.out, finished.folders, driven=finished.drive())
     _raise(finished, finished.out)
-    return FinishedStudy(finished.out, page, {label: OpenedRun(path) for label, path in finished.folders.items()})
+    return FinishedStudy(finished.out)
 
 
 def run(

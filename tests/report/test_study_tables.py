@@ -108,6 +108,7 @@ def test_columns_of_a_users_metric_name_its_unit() -> None:
         (Statistic(mean=0.0, std=0.0, value=0.0, seeds=20), "0.00 (all equal)"),
         (Statistic(value=0.0163, low=0.0143, high=0.0183, seeds=20), "0.016 [0.014, 0.018]"),
         (Statistic(value=0.9, low=0.683, high=0.988, seeds=20, rate=True), "90 % [68, 99]"),
+        (Statistic(value=1.0, low=1.0, high=1.0, seeds=20), "1.00 [1.00, 1.00]"),
     ],
 )
 def test_estimates_show_their_interval_or_why_there_is_none(numbers: Statistic, text: str) -> None:
