@@ -17,7 +17,7 @@ import numpy as np
 from msgspec import Meta
 
 from mast_datasets.files import Coordinate, Element, Name, Point, choose_name, find_folder, read_json
-from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, check_times, classes_of, listed_returns
+from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, check_times, choose_frames, classes_of, listed_returns
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_yaw, to_world
 from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
@@ -551,15 +551,10 @@ class DAIRScene(DataSetScene):
 
     def _pairs(self, layout: DAIRFolder) -> list[Pair]:
         """The pairs of the requested frames, with times checked."""
-        first, last = self.first_frame or 0, math.inf if self.last_frame is None else self.last_frame
         pairs = read_pairs(layout, self._chosen())
         # The number in the name of a frame, such as 123 for 000123.
-        chosen = [pair for pair in pairs if first <= int("0" + re.sub(r"[^0-9]", "", pair.vehicle)) <= last]
-        if not chosen:
-            raise ConfigurationError(
-                f"{layout.root}: first_frame {self.first_frame} to last_frame {self.last_frame}: found no frame, "
-                f"expected some of {pairs[0].vehicle} to {pairs[-1].vehicle}"
-            )
+        numbers = [int("0" + re.sub(r"[^0-9]", "", pair.vehicle)) for pair in pairs]
+        chosen = [pairs[row] for row in choose_frames(layout.root, numbers, self.first_frame, self.last_frame)]
         names = [pair.vehicle for pair in chosen]
         times, difference = clocks(chosen)
         check_times(layout.clocks(VEHICLE), names, times, self.max_gap_s, "max_gap_s")

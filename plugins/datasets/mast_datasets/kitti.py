@@ -15,10 +15,10 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from mast_datasets.files import Element, choose_name, orthonormal, read_lines
-from mast_datasets.traffic import TrafficScene, boxes_of, classes_of, listed_returns
+from mast_datasets.traffic import TrafficScene, boxes_of, choose_frames, classes_of, listed_returns
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
-from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
@@ -209,13 +209,6 @@ class KittiTracking(TrafficScene):
     first_frame: int = 0
     last_frame: int | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        first, last = self.first_frame, self.last_frame
-        if first < 0 or (last is not None and last < first):
-            expected = "expected 0 or more, ascending"
-            raise ConfigurationError(f"KittiTracking: first_frame, last_frame are {first}, {last}, {expected}")
-
     def inputs(self) -> Sequence[Path]:
         """The folders of labels, calibrations and positions."""
         return tuple(self.root / name for name in _FILES)
@@ -225,8 +218,8 @@ class KittiTracking(TrafficScene):
         position, rotation = read_poses(poses_file)
         labels = read_labels(labels_file, len(position))
         calibration = read_calibration(calibration_file)
-        window = self._window(len(position), poses_file)
-        count = window.stop - window.start
+        rows = choose_frames(poses_file, range(len(position)), self.first_frame, self.last_frame)
+        window, count = slice(rows[0], rows[-1] + 1), len(rows)
         ground = calibration.lidar[1][2] - _LIDAR_HEIGHT_M  # z in the frame of the IMU
         position = position[window] - position[window.start] - [0.0, 0.0, ground]
         rotation = rotation[window]
@@ -249,12 +242,6 @@ class KittiTracking(TrafficScene):
             raise SceneError(f"{self.root}: found no folder {_FILES[0]}, expected {', '.join(_FILES)} in it")
         sequence = choose_name(folder, "sequence", (file.stem for file in folder.glob("*.txt")), self.sequence)
         return [self.root / kind / f"{sequence}.txt" for kind in _FILES]
-
-    def _window(self, frames: int, file: Path) -> slice:
-        first, last = self.first_frame, frames - 1 if self.last_frame is None else self.last_frame
-        if max(first, last) >= frames:
-            raise ConfigurationError(f"{file}: first_frame, last_frame are {first}, {last}, expected 0 to {frames - 1}")
-        return slice(first, last + 1)
 
 
 def _boxes(

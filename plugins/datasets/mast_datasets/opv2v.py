@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, NamedTuple
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from mast_datasets import opv2v_files as layout
 from mast_datasets.files import read_yaml
 from mast_datasets.opv2v_files import AgentFolder, Poses, Variant
-from mast_datasets.traffic import DataSetScene, listed_returns
+from mast_datasets.traffic import DataSetScene, check_steps, choose_frames, listed_returns
 from mast_zenoh.arrays.geometry import heading, rotation_from_yaw
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
@@ -26,33 +25,36 @@ from mast_zenoh.sensing import Camera
 _MAX_SPEED_M_S = 70.0  # of an object whose id lasts,
 _MAX_STEP_M = 5.0  # in addition to this
 
-#: The file of an agent (its column) in a frame (its row), for messages.
-FileOf = Callable[[int, int], Path]
-
 
 @dataclass(frozen=True, eq=False)
 class Listed:
     """N boxes, as the agents list them.
 
     agent: (N,) column of the agent;  associated: (N,) id that agents share, -1 if there is none
+    files: of each agent, for each frame
     """
 
     agent: Ints
     associated: Ints
     boxes: SceneBoxes
+    files: Sequence[Sequence[Path]]
 
     @classmethod
-    def of(cls, labels: Sequence[Sequence[tuple[SceneBoxes, Ints]]]) -> Listed:
-        """The objects in the files of each agent, for each frame."""
-        boxes, associated = zip(*itertools.chain.from_iterable(labels), strict=True)
-        agent = np.arange(len(boxes)) % len(labels[0])
-        return cls(np.repeat(agent, [*map(len, boxes)]), np.concatenate(associated), SceneBoxes.concatenate(boxes))
+    def of(cls, labels: Sequence[tuple[SceneBoxes, Ints]], files: Sequence[Sequence[Path]]) -> Listed:
+        """The objects in the files of each agent, frame by frame."""
+        boxes, associated = zip(*labels, strict=True)
+        agent = np.repeat(np.arange(len(boxes)) % len(files[0]), [*map(len, boxes)])
+        return cls(agent, np.concatenate(associated), SceneBoxes.concatenate(boxes), files)
+
+    def file(self, row: int) -> Path:
+        """The file that lists the object in a row."""
+        return self.files[int(self.boxes.frame[row])][int(self.agent[row])]
 
     def with_id(self, number: Ints) -> Listed:
         """The same objects with other ids (N,)."""
         return replace(self, boxes=replace(self.boxes, id=number))
 
-    def merged(self, limit_m: float, file_of: FileOf) -> tuple[SceneBoxes, Bools]:
+    def merged(self, limit_m: float) -> tuple[SceneBoxes, Bools]:
         """One box for each object and frame, by frame and id, and whether each agent (column) lists it.
 
         limit_m: how far apart the agents may place an object; that of the first agent counts
@@ -64,19 +66,16 @@ class Listed:
         first = _begins(frame[order], number[order])
         group = np.cumsum(first) - 1
         repeated = ~first[1:] & (np.diff(self.agent[order]) == 0)
-        if repeated.any():
-            row = order[1:][repeated][0]
-            file = file_of(int(frame[row]), int(self.agent[row]))
-            raise SceneError(f"{file}: found object {number[row]} twice, expected it once")
+        for row in order[1:][repeated]:
+            raise SceneError(f"{self.file(row)}: found object {number[row]} twice, expected it once")
         chosen = order[first]
         apart = np.linalg.norm(position[order] - position[chosen][group], axis=1)
         if (apart > limit_m).any():
             worst = int(apart.argmax())
-            rows = order[worst], chosen[group[worst]]
-            file, other = (file_of(int(frame[row]), int(self.agent[row])) for row in rows)
+            row, other = order[worst], self.file(int(chosen[group[worst]])).parent.name
             raise SceneError(
-                f"{file}: object {number[rows[0]]} is {apart[worst]:.2f} m from where agent {other.parent.name} lists "
-                f"it, expected at most {limit_m:g} m"
+                f"{self.file(row)}: object {number[row]} is {apart[worst]:.2f} m from where agent {other} lists it, "
+                f"expected at most {limit_m:g} m"
             )
         seen = np.zeros((len(chosen), int(self.agent.max(initial=-1)) + 1), np.bool_)
         seen[group, self.agent[order]] = True
@@ -88,17 +87,17 @@ def _begins(*columns: Ints) -> Bools:
     return np.append(True, np.any([np.diff(column) != 0 for column in columns], axis=0))[: len(columns[0])]
 
 
-def check_ids_last(boxes: SceneBoxes, times_ns: Ints, file_of: Callable[[int], Path]) -> None:
+def check_ids_last(boxes: SceneBoxes, times_ns: Ints, files: Sequence[Path]) -> None:
     """Raise SceneError for an id that is somewhere else a moment later: then it is another object.
 
-    file_of: a file of a frame (row), for the message
+    files: one of each frame, for the message
     """
     order = np.lexsort((boxes.frame, boxes.id))
     same = np.diff(boxes.id[order]) == 0
     step = np.linalg.norm(np.diff(boxes.position[order], axis=0), axis=1)
     limit = _MAX_STEP_M + _MAX_SPEED_M_S * np.diff(times_ns[boxes.frame[order]]) / 1e9
     for jump in np.flatnonzero(same & (step > limit)):
-        before, after = (file_of(int(boxes.frame[row])) for row in order[jump : jump + 2])
+        before, after = (files[boxes.frame[row]] for row in order[jump : jump + 2])
         raise SceneError(
             f"{after}: object {boxes.id[order[jump]]} is {step[jump]:.1f} m from where it was in {before.name}, "
             f"expected at most {limit[jump]:.1f} m: an id must be that of one object"
@@ -151,16 +150,13 @@ def own_cars(agents: Sequence[AgentFolder], poses: Poses) -> dict[int, OwnCar]:
     return {column: OwnCar(agents[column].number, *place, agents[column].number) for column, place in places.items()}
 
 
-def check_numbers(listed: Listed, cars: Sequence[OwnCar], file_of: FileOf) -> None:
+def check_numbers(listed: Listed, cars: Sequence[OwnCar]) -> None:
     """Raise SceneError for a box with an agent's number that is not where the agent is."""
     for car in cars:
         distance = _distance(listed, car)
         for row in np.flatnonzero((listed.boxes.id == car.number) & (distance > _MAX_DISTANCE_M)):
-            file = file_of(int(listed.boxes.frame[row]), int(listed.agent[row]))
-            expected = f"expected at most {_MAX_DISTANCE_M:g} m: it is the same car"
-            raise SceneError(
-                f"{file}: object {car.number} is {distance[row]:.2f} m from agent {car.number}, {expected}"
-            )
+            place = f"{listed.file(int(row))}: object {car.number} is {distance[row]:.2f} m from agent {car.number}"
+            raise SceneError(f"{place}, expected at most {_MAX_DISTANCE_M:g} m: it is the same car")
 
 
 def claim(listed: Listed, cars: Sequence[OwnCar]) -> tuple[Listed, list[OwnCar]]:
@@ -224,15 +220,13 @@ _MAX_MOUNT_ERROR_M = 0.5  # between a lidar's place on its car in two frames
 _MAX_POLE_STEP_M = 1.0  # of a pole, which does not move
 _CAMERA_BELOW_LIDAR_M = 0.2
 
-#: Lidar returns (N,) of each box, by the column of an agent, its path, and how many frames are wanted.
-PointsOf = Callable[[int, AgentPath, int | None], NDArray[np.int32] | None]
-
 
 class Playing(NamedTuple):
     """What is played of a scenario.
 
     agents: of the scenario;  columns: of those that play, the ego first, then other cars, then poles
     numbers: of the frames;  poses: of the agents;  boxes: of all objects;  cars: of agents, by column
+    seen: whether each agent (column) lists each box (row)
     """
 
     agents: Sequence[AgentFolder]
@@ -241,6 +235,7 @@ class Playing(NamedTuple):
     poses: Poses
     boxes: SceneBoxes
     cars: Mapping[int, OwnCar]
+    seen: Bools
 
     def path(self, column: int, variant: Variant) -> AgentPath:
         """The path of an agent and its sensors, without what it sees.
@@ -293,23 +288,26 @@ class ScenarioFolder(DataSetScene):
         return self.variant
 
     @abstractmethod
-    def _read(self, folder: Path, agents: list[AgentFolder], numbers: Sequence[int]) -> tuple[Playing, PointsOf]:
-        """What is played, and how the lidar returns (N,) of each box follow from a column and its path.
+    def _read(self, folder: Path, agents: list[AgentFolder], numbers: Sequence[int]) -> Playing:
+        """What is played. agents: the ego first; numbers: of the frames"""
 
-        agents: the ego first; numbers: of the frames
-        """
+    @abstractmethod
+    def _points(self, playing: Playing, column: int, path: AgentPath, frames: int | None) -> NDArray[np.int32] | None:
+        """(N,) lidar returns of each box at an agent; None: by ray casting. frames: how many are wanted"""
 
     def record(self, seed: int, frames: int | None) -> Recording:
         folder, agents = layout.find_scenario(self.root)
         agents = self._ego_first(folder, agents)
-        numbers = layout.choose_frames(agents[0], self.first_frame, self.last_frame)
-        playing, points_of = self._read(folder, agents, numbers)
+        ego, known = agents[0], list(agents[0].files)
+        numbers = [known[row] for row in choose_frames(ego.folder, known, self.first_frame, self.last_frame)]
+        check_steps(ego.folder, numbers, "; first_frame and last_frame choose a part without a gap")
+        playing = self._read(folder, agents, numbers)
         times = np.round(np.arange(len(numbers)) * 1e9 / self.rate_hz).astype(np.int64)
-        check_ids_last(playing.boxes, times, lambda frame: agents[0].file(numbers[frame]))
+        check_ids_last(playing.boxes, times, [ego.file(number) for number in numbers])
         paths = []
         for column in playing.columns:
             path = playing.path(column, self._variant())
-            paths.append(replace(path, points=points_of(column, path, frames)))
+            paths.append(replace(path, points=self._points(playing, column, path, frames)))
         return assemble(folder.name, times, playing.boxes, paths, self.detector, seed=seed, frames=frames)
 
     def _ego_first(self, folder: Path, agents: list[AgentFolder]) -> list[AgentFolder]:
@@ -345,46 +343,32 @@ class OPV2VScene(ScenarioFolder):
 
     variant = layout.OPV2V
 
-    def _read(self, folder: Path, agents: list[AgentFolder], numbers: Sequence[int]) -> tuple[Playing, PointsOf]:
-        layout.check_frames(agents, numbers)
-        columns, variant = self._playing(agents), self._variant()
-        labels, rows = [], []
-        for frame, number in enumerate(numbers):
-            contents = [read_yaml(agent.file(number)) for agent in agents]
-            now = [layout.read_pose(each, variant, agent.is_pole) for each, agent in zip(contents, agents, strict=True)]
-            places = zip(contents, now, strict=True)
-            labels.append([layout.read_labels(each, variant, pose, frame) for each, pose in places])
-            rows.append(now)
-        poses = layout.joined_poses(rows)
-        boxes, seen, cars = self._traffic(agents, numbers, poses, Listed.of(labels))
-
-        def points_of(column: int, path: AgentPath, frames: int | None) -> NDArray[np.int32]:
-            return listed_returns(boxes, path, seen[:, column], frames=frames)
-
-        return Playing(agents, columns, numbers, poses, boxes, cars), points_of
-
-    def _traffic(
-        self, agents: Sequence[AgentFolder], numbers: Sequence[int], poses: Poses, listed: Listed
-    ) -> tuple[SceneBoxes, Bools, dict[int, OwnCar]]:
-        """All boxes, whether each agent lists them, and the agents' own cars by column."""
-        variant = self._variant()
-
-        def file_of(frame: int, column: int) -> Path:
-            return agents[column].file(numbers[frame])
-
+    def _read(self, folder: Path, agents: list[AgentFolder], numbers: Sequence[int]) -> Playing:
+        files, variant = layout.files_of_frames(agents, numbers), self._variant()
+        labels, rows = [], list[list[Poses]]()
+        for frame, of_agents in enumerate(files):
+            rows.append([])
+            for file, agent in zip(of_agents, agents, strict=True):
+                content = read_yaml(file)
+                rows[-1].append(pose := layout.read_pose(content, variant, agent.is_pole))
+                labels.append(layout.read_labels(content, variant, pose, frame))
+        poses, listed = layout.joined_poses(rows), Listed.of(labels, files)
         cars = own_cars(agents, poses)
         own = list(cars.values())
         if variant.associated:
             listed = listed.with_id(shared_ids(listed))
         if variant.body is not None:
-            check_numbers(listed, own, file_of)
+            check_numbers(listed, own)
         else:
             listed, own = claim(listed, own)
-        boxes, by_agent = listed.merged(variant.disagreement_m, file_of)
-        added = [missing_boxes(boxes, car, variant) for car in own]
-        seen = np.zeros((len(boxes) + sum(map(len, added)), len(agents)), np.bool_)
+        boxes, by_agent = listed.merged(variant.disagreement_m)
+        boxes = SceneBoxes.concatenate([boxes, *(missing_boxes(boxes, car, variant) for car in own)])
+        seen = np.zeros((len(boxes), len(agents)), np.bool_)
         seen[: len(by_agent), : by_agent.shape[1]] = by_agent
-        return SceneBoxes.concatenate([boxes, *added]), seen, dict(zip(cars, own, strict=True))
+        return Playing(agents, self._playing(agents), numbers, poses, boxes, dict(zip(cars, own, strict=True)), seen)
+
+    def _points(self, playing: Playing, column: int, path: AgentPath, frames: int | None) -> NDArray[np.int32]:
+        return listed_returns(playing.boxes, path, playing.seen[:, column], frames=frames)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -438,18 +422,20 @@ class MultiV2XScene(ScenarioFolder):
 
     variant = layout.MULTI_V2X
 
-    def _read(self, folder: Path, agents: list[AgentFolder], numbers: Sequence[int]) -> tuple[Playing, PointsOf]:
+    def _read(self, folder: Path, agents: list[AgentFolder], numbers: Sequence[int]) -> Playing:
         agents = self._nearest_first([agent for agent in agents if agent.covers(numbers)], numbers[0])
         agents = [agents[column] for column in self._playing(agents)]
-        layout.check_frames(agents, numbers)
+        layout.files_of_frames(agents, numbers)
         poses = layout.joined_poses([[self._pose(agent, number) for agent in agents] for number in numbers])
         cars = own_cars(agents, poses)
-        boxes = self._boxes(folder, numbers, list(cars.values()))
-
-        def points_of(column: int, path: AgentPath, _: int | None) -> NDArray[np.int32] | None:
-            return _view_points(agents[column], numbers, boxes, path.agent.object_id)
-
-        return Playing(agents, range(len(agents)), numbers, poses, boxes, cars), points_of
+        of_map = layout.map_files(folder)
+        files = [[layout.file_of_frame(folder / "map", of_map, number)] for number in numbers]
+        labels = [layout.read_labels(read_yaml(file), self.variant, None, k) for k, (file,) in enumerate(files)]
+        listed = Listed.of(labels, files)
+        check_numbers(listed, list(cars.values()))
+        boxes, seen = listed.merged(self.variant.disagreement_m)
+        boxes = SceneBoxes.concatenate([boxes, *(missing_boxes(boxes, car, self.variant) for car in cars.values())])
+        return Playing(agents, range(len(agents)), numbers, poses, boxes, cars, seen)
 
     def _pose(self, agent: AgentFolder, number: int) -> Poses:
         return layout.read_pose(read_yaml(agent.file(number)), self.variant, agent.is_pole)
@@ -460,32 +446,15 @@ class MultiV2XScene(ScenarioFolder):
         distance = [float(np.linalg.norm(each - place[0])) for each in place]
         return [agents[0], *(agents[k] for k in sorted(range(1, len(agents)), key=lambda k: distance[k]))]
 
-    def _boxes(self, folder: Path, numbers: Sequence[int], cars: Sequence[OwnCar]) -> SceneBoxes:
-        """All objects of the map in the frames, and the agents' own cars where it lacks them."""
-        files = layout.map_files(folder)
-
-        def file_of(frame: int, _: int) -> Path:
-            return layout.file_of_frame(folder / "map", files, numbers[frame])
-
-        frames = range(len(numbers))
-        listed = Listed.of(
-            [[layout.read_labels(read_yaml(file_of(frame, 0)), self.variant, None, frame)] for frame in frames]
-        )
-        check_numbers(listed, cars, file_of)
-        boxes, _ = listed.merged(self.variant.disagreement_m, file_of)
-        return SceneBoxes.concatenate([boxes, *(missing_boxes(boxes, car, self.variant) for car in cars)])
-
-
-def _view_points(
-    agent: AgentFolder, numbers: Sequence[int], boxes: SceneBoxes, object_id: int
-) -> NDArray[np.int32] | None:
-    """(N,) lidar returns of each box, as the agent's view files count them; None without any file."""
-    if not agent.views:
-        return None
-    points = np.zeros(len(boxes), np.int32)
-    for frame, number in enumerate(numbers):
-        rows = np.flatnonzero(boxes.frame == frame)
-        ids: Ints = boxes.id[rows]
-        visible = layout.read_visible(read_yaml(layout.file_of_frame(agent.folder, agent.views, number, "_view")), ids)
-        points[rows] = [0 if each == object_id else visible.get(each, 0) for each in ids.tolist()]
-    return points
+    def _points(self, playing: Playing, column: int, path: AgentPath, frames: int | None) -> NDArray[np.int32] | None:
+        agent, boxes = playing.agents[column], playing.boxes
+        if not agent.views:
+            return None
+        points = np.zeros(len(boxes), np.int32)
+        for frame, number in enumerate(playing.numbers):
+            rows = np.flatnonzero(boxes.frame == frame)
+            ids: Ints = boxes.id[rows]
+            file = layout.file_of_frame(agent.folder, agent.views, number, "_view")
+            visible = layout.read_visible(read_yaml(file), ids)
+            points[rows] = [0 if each == path.agent.object_id else visible.get(each, 0) for each in ids.tolist()]
+        return points

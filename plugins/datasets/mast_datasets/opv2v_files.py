@@ -14,10 +14,10 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from mast_datasets.files import Element, entries, find_folder
-from mast_datasets.traffic import check_steps, classes_of
+from mast_datasets.traffic import classes_of
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
-from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.making.assembly import SceneBoxes
 from mast_zenoh.sensing import LidarSensor
 
@@ -195,33 +195,13 @@ def map_files(folder: Path) -> dict[int, Path]:
     return files
 
 
-def choose_frames(agent: AgentFolder, first: int | None, last: int | None) -> list[int]:
-    """The frames of the ego from `first` to `last`, the same step apart; None: without that limit.
-
-    Raises SceneError for a gap, and ConfigurationError for a limit that is no frame.
-    """
-    numbers = list(agent.files)
-    for name, limit in (("first_frame", first), ("last_frame", last)):
-        if limit is not None and limit not in agent.files:
-            raise ConfigurationError(
-                f"{agent.folder}: {name} is {limit}, expected the number of one of its files, "
-                f"{numbers[0]} to {numbers[-1]}"
-            )
-    chosen = [n for n in numbers if (first is None or n >= first) and (last is None or n <= last)]
-    if not chosen:
-        raise ConfigurationError(f"{agent.folder}: first_frame is {first}, expected at most last_frame, {last}")
-    check_steps(agent.folder, chosen, "; first_frame and last_frame choose a part without a gap")
-    return chosen
-
-
-def check_frames(agents: Sequence[AgentFolder], frames: Sequence[int]) -> None:
-    """Raise SceneError for the first agent that has other frames than the ego."""
+def files_of_frames(agents: Sequence[AgentFolder], frames: Sequence[int]) -> list[list[Path]]:
+    """The file of each agent, for each frame. Raises SceneError for an agent that has other frames than the ego."""
     for agent in agents:
-        for frame in frames:
-            agent.file(frame)
         extra = [frame for frame in agent.files if frames[0] <= frame <= frames[-1] and frame not in frames]
         if extra:
             raise SceneError(f"{agent.files[extra[0]]}: the ego has no frame {extra[0]}, expected the same frames")
+    return [[agent.file(frame) for agent in agents] for frame in frames]
 
 
 def _is_agent(folder: Path) -> bool:

@@ -11,15 +11,7 @@ import numpy as np
 from msgspec import Meta
 
 from mast_datasets.files import Element, find_file
-from mast_datasets.sumo_files import (
-    VEHICLE_CLASSES,
-    TraceRow,
-    VehicleType,
-    VehicleTypes,
-    read_buildings,
-    read_steps,
-    type_of_class,
-)
+from mast_datasets.sumo_files import TraceRow, VehicleType, VehicleTypes, read_buildings, read_steps
 from mast_datasets.sumo_traffic import SUFFIXES, SumoTraffic
 from mast_datasets.traffic import TrafficScene, busiest_vehicle, check_times, ego_in_traffic, ground_below, near_route
 from mast_datasets.xml_files import has_root
@@ -112,7 +104,6 @@ class _TraceRows:
     def __init__(self, file: Path, types: VehicleTypes) -> None:
         self._file = file
         self._types = types
-        self._known: dict[str, VehicleType] = {}
         self._rows: list[tuple[int, str, tuple[float, float, float], float, float, VehicleType, bool, bool]] = []
 
     def add(self, frame: int, listed: list[tuple[bool, Element]]) -> None:
@@ -135,21 +126,8 @@ class _TraceRows:
                 raise SceneError(f"{self._file}: found more rows in the window, {most}")
             speed = np.nan if row.speed is None else row.speed
             place, yaw = (row.x, row.y, row.z or 0.0), float(np.radians(90.0 - row.angle))
-            self._rows.append((frame, name, place, yaw, speed, self._kind(person, element, row), person, row.z is None))
-
-    def _kind(self, person: bool, element: Element, row: TraceRow) -> VehicleType:
-        if row.type is None:
-            return type_of_class("pedestrian") if person else element.fail("a type")
-        if row.length is not None and row.type in VEHICLE_CLASSES:
-            self._known[row.type] = type_of_class(row.type)
-        if row.type not in self._known:
-            self._known[row.type] = self._types.find(element, row.type)
-        kind = self._known[row.type]
-        if row.length is None:
-            return kind
-        if row.width is None or row.height is None:
-            element.fail("a width and a height beside the length")
-        return VehicleType((row.length, row.width, row.height), kind.class_id)
+            kind = self._types.find(element, row, person)
+            self._rows.append((frame, name, place, yaw, speed, kind, person, row.z is None))
 
     def trace(self, times_ns: Ints) -> Trace:
         """The boxes of all rows."""

@@ -158,26 +158,37 @@ def type_of_class(name: str) -> VehicleType:
 class VehicleTypes:
     """The types that vehicles of a trace can have, by name.
 
-    files: with definitions `<vType …>`; read when a type is looked up that is not built in, and not a class itself
+    files: with definitions `<vType …>`; read when a type is looked up that cannot be known without them
     """
 
     def __init__(self, files: Sequence[Path]) -> None:
         self._files = files
         self._defined: dict[str, VehicleType] | None = None
 
-    def find(self, row: Element, name: str) -> VehicleType:
-        """The type that a row of a trace names. Raises SceneError if it is not defined."""
-        base = name.partition("@")[0]  # a vehicle with parameters of its own has the type "type@vehicle"
-        if base in _BUILT_IN:
-            return type_of_class(_BUILT_IN[base])
+    def find(self, element: Element, row: TraceRow, person: bool) -> VehicleType:
+        """The type of what a row of a trace describes, with the size that the row says, if it says one.
+
+        element: the row, for the message. Raises SceneError for a type that is not defined.
+        """
+        if row.type is None:
+            return type_of_class("pedestrian") if person else element.fail("a type")
+        base = row.type.partition("@")[0]  # a vehicle with parameters of its own has the type "type@vehicle"
+        if row.length is None:
+            return self._of_name(element, base)
+        if row.width is None or row.height is None:
+            element.fail("a width and a height beside the length")
+        kind = type_of_class(base) if base in VEHICLE_CLASSES else self._of_name(element, base)
+        return VehicleType((row.length, row.width, row.height), kind.class_id)
+
+    def _of_name(self, element: Element, name: str) -> VehicleType:
+        if name in _BUILT_IN:
+            return type_of_class(_BUILT_IN[name])
         if self._defined is None:
             self._defined = _read_types(self._files)
-        if base in self._defined or base in VEHICLE_CLASSES:
-            return self._defined.get(base) or type_of_class(base)
+        if name in self._defined or name in VEHICLE_CLASSES:
+            return self._defined.get(name) or type_of_class(name)
         searched = ", ".join(file.name for file in self._files[:10]) or "no file *.rou.xml or *.add.xml"
-        return Element(name, row.path, f"{row.place}: type").fail(
-            f"a vehicle class, or the id of a vType (searched: {searched})"
-        )
+        return element["type"].fail(f"a vehicle class, or the id of a vType (searched: {searched})")
 
 
 def _read_types(files: Sequence[Path]) -> dict[str, VehicleType]:

@@ -38,9 +38,9 @@ class RunningSumo:
         self.sumo = libsumo
         self._known: set[str] = set()
 
-    def start(self, arguments: list[str]) -> str:
-        """Load the network. Returns SUMO's version."""
-        return str(self.sumo.start(["sumo", *arguments])[1])
+    def start(self, arguments: list[str]) -> None:
+        """Load the network."""
+        self.sumo.start(["sumo", *arguments])
 
     def advance(self, until_s: float) -> None:
         """Simulate up to a time, without moving anything."""
@@ -85,7 +85,7 @@ class RunningSumo:
         """
         vehicle = self.sumo.vehicle
         foes = vehicle.getJunctionFoes(name, FOES_M) if name in vehicle.getIDList() else ()
-        foes = [(*foe, vehicle.getLaneID(foe[0]).startswith(":")) for foe in foes]
+        foes = [(*foe[:6], foe[7], vehicle.getLaneID(foe[0]).startswith(":")) for foe in foes]
         return foes, [[link[5] for link in self.sumo.lane.getLinks(lane)] for lane in lanes]
 
     def car(self, name: str) -> list[Any]:

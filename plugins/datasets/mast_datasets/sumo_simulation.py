@@ -27,6 +27,7 @@ import numpy as np
 from msgspec import Meta
 
 from mast_datasets.files import Element
+from mast_datasets.sumo_files import VehicleType, type_of_class
 from mast_datasets.sumo_process import MAX_MESSAGE
 from mast_datasets.xml_files import XmlHandler, read_xml
 from mast_zenoh.arrays.states import Bools, Floats
@@ -225,8 +226,8 @@ _MAX_SHOWN = 600  # characters of SUMO's messages
 _MAX_COORDINATE_M = 1e8
 _MAX_SPEED = 200.0
 _MAX_SIZE_M = 1000.0  # of a vehicle: a train, at most
-#: s that a request may take: the first one reads the network, and then the time until the scene begins is simulated.
-_LOAD_S, _WARM_UP_S, _STEP_S = 120, 600, 60
+#: s that requests may take, of which the first reads the network; and all others.
+_LIMITS_S, _STEP_S = {"start": 120, "advance": 600}, 60
 _GRACE_S = 5.0
 #: Colliding cars stay where they are, cars that wait are not moved elsewhere, and nothing is written.
 _ALWAYS = (
@@ -252,8 +253,7 @@ class Foe(NamedTuple):
     """Another vehicle on its way to the same place of a junction.
 
     name: of the other;  distance, foe_distance: m, to the place;  exit, foe_exit: m, until both have left it
-    lane, foe_lane: of the junction;  yields, foe_yields: whether the car, or the other, has to;  is_inside: whether the
-    other is on a junction already
+    lane: of the junction;  yields: whether the car has to;  is_inside: whether the other is on a junction already
     """
 
     name: str
@@ -262,9 +262,7 @@ class Foe(NamedTuple):
     exit: float
     foe_exit: float
     lane: str
-    foe_lane: str
     yields: bool
-    foe_yields: bool
     is_inside: bool
 
 
@@ -292,17 +290,12 @@ class Present(NamedTuple):
     around: dict[str, RightOfWay]
 
 
-class VehicleShape(NamedTuple):
-    """Size m of a vehicle or person, and its class as SUMO names it."""
-
-    size: tuple[float, float, float]
-    vehicle_class: str
-
-
 class SumoSimulation:
     """SUMO, from the moment at which its network is loaded until `close`.
 
     inputs: what it simulates;  seed: of its random numbers;  step_ms: ms, of a step
+
+    shapes: type of each vehicle and person that has been there, by name
 
     All methods raise SceneError, with SUMO's own words, where it refuses its files or ends. Raises ConfigurationError
     if SUMO is not installed.
@@ -311,7 +304,7 @@ class SumoSimulation:
     def __init__(self, inputs: SumoInputs, seed: int, step_ms: int) -> None:
         if importlib.util.find_spec("libsumo") is None:
             raise ConfigurationError(f"{inputs.path}: {INSTALL}")
-        self.shapes: dict[str, VehicleShape] = {}
+        self.shapes: dict[str, VehicleType] = {}
         self._path = inputs.path
         with contextlib.ExitStack() as opened:
             files = [opened.enter_context(tempfile.TemporaryFile()) for _ in inputs.files]
@@ -340,11 +333,7 @@ class SumoSimulation:
             for name, value in inputs.options.items():
                 arguments += [f"--{name}", value]
             arguments += ["--seed", str(seed), "--step-length", f"{step_ms / 1000:g}", *_ALWAYS]
-            self.version = self._ask("start", _LOAD_S, arguments)
-
-    def advance(self, until_s: float) -> None:
-        """Simulate up to a time."""
-        self._ask("advance", _WARM_UP_S, until_s)
+            self.ask("start", arguments)
 
     def step(
         self, steps: int, moves: Sequence[Move] = (), watched: Mapping[str, Sequence[str]] | None = None
@@ -353,12 +342,12 @@ class SumoSimulation:
 
         moves: of cars that do not drive themselves;  watched: by car, the lanes of which `around` tells
         """
-        answer = self._ask("step", _STEP_S, steps, [tuple(move) for move in moves], dict(watched or {}))
+        answer = self.ask("step", steps, [tuple(move) for move in moves], dict(watched or {}))
         for name, (*size, vehicle_class) in answer["shapes"].items():
             if not all(0.0 < length <= _MAX_SIZE_M for length in size):
                 expected = f"more than 0 and at most {_MAX_SIZE_M:g} m: see its vType"
                 raise SceneError(f"{self._path}: {name}: found length, width and height {size}, expected {expected}")
-            self.shapes[name] = VehicleShape(tuple(size), vehicle_class)
+            self.shapes[name] = VehicleType(tuple(size), type_of_class(vehicle_class).class_id)
         names = [*answer["vehicles"], *answer["persons"]]
         state = np.frombuffer(answer["state"]).reshape(-1, 4)
         person = np.arange(len(names)) >= len(answer["vehicles"])
@@ -373,24 +362,11 @@ class SumoSimulation:
 
     def around(self, car: str, lanes: Sequence[str]) -> RightOfWay:
         """What a car has to wait for. lanes: at whose ends"""
-        return _right_of_way(*self._ask("around", _STEP_S, car, list(lanes)))
+        return _right_of_way(*self.ask("around", car, list(lanes)))
 
-    def car(self, name: str) -> list[Any]:
-        """Of a vehicle: lane, m along it, edges of its route, row of the present one, factor, greatest speed m/s."""
-        return list(self._ask("car", _STEP_S, name))
-
-    def lane(self, name: str) -> list[Any]:
-        """Of a lane: shape, limit m/s, and (next lane, lane of the junction or "", direction) of each link."""
-        return list(self._ask("lane", _STEP_S, name))
-
-    def keep_lanes(self, car: str, edges: Sequence[str]) -> bool:
-        """Give a car a route on which it never changes lanes from now on; returns whether SUMO takes it.
-
-        edges: of the route, from the present one or the next one on
-        """
-        return bool(self._ask("keep_lanes", _STEP_S, car, list(edges)))
-
-    def _ask(self, method: str, limit_s: int, *arguments: Any) -> Any:
+    def ask(self, method: str, *arguments: Any) -> Any:
+        """What a method of `RunningSumo` returns, with lists in place of tuples."""
+        limit_s = _LIMITS_S.get(method, _STEP_S)
         try:
             self._pipe.send_bytes(msgpack.packb((method, arguments, limit_s), use_bin_type=True))
             if not self._pipe.poll(limit_s + _GRACE_S):

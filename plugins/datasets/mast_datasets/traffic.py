@@ -58,6 +58,20 @@ def check_steps(place: object, numbers: Sequence[int], hint: str = "") -> None:
             raise SceneError(f"{place}: frame {before} is followed by {after}, expected {before + step}{hint}")
 
 
+def choose_frames(place: object, numbers: Sequence[int], first: int | None, last: int | None) -> list[int]:
+    """The rows of the numbers from `first_frame` to `last_frame`; None: without that limit. place: of the frames
+
+    Raises ConfigurationError if there are none.
+    """
+    chosen = [row for row, n in enumerate(numbers) if (first is None or n >= first) and (last is None or n <= last)]
+    if not chosen:
+        raise ConfigurationError(
+            f"{place}: first_frame is {first}, last_frame is {last}: found no frame, expected some of "
+            f"{min(numbers)} to {max(numbers)}"
+        )
+    return chosen
+
+
 def ground_below(boxes: SceneBoxes, own: int, position: Floats) -> tuple[Floats, SceneBoxes]:
     """The place (3,) m on the ground below a path (F, 3) in the first frame, and the boxes with this as the origin.
 

@@ -136,8 +136,6 @@ def read_damaged(name: str, path: Path, data: st.DataObject) -> None:
     [
         (mast_datasets.OPV2VScene, dict(rate_hz=0), "rate_hz is 0, expected 0.01 to 1000"),
         (mast_datasets.TUMTrafV2X, dict(max_gap_s=0), "max_gap_s is 0, expected a number above 0"),
-        (mast_datasets.KittiTracking, dict(first_frame=-1), "are -1, None, expected"),
-        (mast_datasets.KittiTracking, dict(first_frame=3, last_frame=2), "are 3, 2, expected"),
         (
             mast_datasets.CommonRoadScenario,
             dict(building_height_m=0.0),

@@ -131,8 +131,10 @@ def test_a_part_of_a_sequence_can_be_used(tmp_path: Path) -> None:
     assert recording.agents[1].object_id == 8
     with pytest.raises(ConfigurationError, match=r"0000\.txt: n_mobile is 1, expected 0 to 0: 0 vehicles besides"):
         read(tmp_path, n_mobile=1)
-    with pytest.raises(ConfigurationError, match=r"oxts/0000\.txt: first_frame, last_frame are 0, 4, expected 0 to 3"):
-        read(tmp_path, last_frame=4)
+    with pytest.raises(ConfigurationError, match=r"oxts/0000\.txt: first_frame is 4, .* expected some of 0 to 3"):
+        read(tmp_path, first_frame=4)
+    with pytest.raises(ConfigurationError, match="first_frame is 3, last_frame is 2: found no frame"):
+        read(tmp_path, first_frame=3, last_frame=2)
 
 
 @pytest.mark.parametrize(

@@ -117,8 +117,8 @@ def test_agents_and_frames_can_be_chosen(twins: Any) -> None:
     [
         (dict(ego=7), "ego is 7, expected the number of a car: 6, 9, 20"),
         (dict(ego=-3), "ego is -3, expected the number of a car: 6, 9, 20"),
-        (dict(first_frame=69), "first_frame is 69, expected the number of one of its files, 68 to 106"),
-        (dict(first_frame=80, last_frame=70), "first_frame is 80, expected at most last_frame, 70"),
+        (dict(first_frame=107), "6: first_frame is 107, last_frame is None: found no frame, .* some of 68 to 106"),
+        (dict(first_frame=80, last_frame=70), "first_frame is 80, last_frame is 70: found no frame"),
     ],
 )
 def test_parameters_that_the_scenario_does_not_have_are_refused(twins: Any, parameters: Any, message: str) -> None:

@@ -20,7 +20,7 @@ LINE = StopLine(100.0, "in_0", 1, ":J_0_0")
 
 def foe(**other: object) -> Foe:
     usual = dict(name="other", distance=22.0, foe_distance=22.0, exit=28.0, foe_exit=28.0)
-    return Foe(**usual | dict(lane=":J_0_0", foe_lane=":J_2_0", yields=True, foe_yields=False, is_inside=False) | other)  # type: ignore[arg-type]
+    return Foe(**usual | dict(lane=":J_0_0", yields=True, is_inside=False) | other)  # type: ignore[arg-type]
 
 
 def stop(priority: Priority, distance: float, state: str, speed: float, foes: list[tuple[Foe, float]]) -> float:

@@ -20,7 +20,7 @@ from damages import DAMAGE, Damage, damaged, text
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mast_datasets import SumoTraffic, sumo_simulation
-from mast_datasets.sumo_world import SumoWorld
+from mast_datasets.sumo_traffic import SumoWorld
 from sumo_network import vehicle, write_network
 
 from mast_zenoh import scenario
@@ -260,7 +260,7 @@ def test_a_simulation_that_dies_or_hangs_is_an_error(crossing: Path, monkeypatch
 
 
 def test_a_request_that_takes_too_long_ends_within_sumo_itself(crossing: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sumo_simulation, "_WARM_UP_S", 1)
+    monkeypatch.setitem(sumo_simulation._LIMITS_S, "advance", 1)
     flow = '<flow id="f" type="steady" route="eastward" begin="0" end="10000000" period="2" departPos="0"/></routes>'
     text("crossing.rou.xml", "</routes>", flow).apply(crossing.parent)
     with pytest.raises(SceneError, match="SUMO took longer than 1 s"):
