@@ -6,7 +6,6 @@ Yu et al.: DAIR-V2X, CVPR 2022; Yu et al.: V2X-Seq, CVPR 2023; Hao et al.: RCoop
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, check_times, ch
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_yaw, to_world
 from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
-from mast_zenoh.errors import ConfigurationError, SceneError
+from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble, ground_level
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
@@ -166,6 +165,11 @@ class DAIRFolder(NamedTuple):
         """The file with the cooperative labels of a pair."""
         return self.root / "cooperative" / ("label_world" if self.in_world else "label") / f"{pair.vehicle}.json"
 
+    def labels(self, side: str, pair: Pair) -> Path:
+        """The file of what a side lists. side: VEHICLE or INFRASTRUCTURE"""
+        sensor, name = ("lidar", pair.vehicle) if side == VEHICLE else ("virtuallidar", pair.infrastructure)
+        return self.root / side / "label" / sensor / f"{name}.json"
+
     def poses(self, pairs: list[Pair]) -> tuple[LidarPoses, LidarPoses]:
         """The poses of the lidars of the car, and of the pole with the pairs' offsets."""
         poses: tuple[list[Floats], ...] = [], [], [], []
@@ -182,13 +186,6 @@ class DAIRFolder(NamedTuple):
                 column.append(value)
         columns = [np.array(column) for column in poses]
         return LidarPoses(*columns[:2]), LidarPoses(*columns[2:])
-
-
-def split_path(path: Path) -> tuple[Path, str | None]:
-    """The folder of the data set, and the name of a sequence if the path ends in one: `<data set>/<sequence>`."""
-    if not os.path.exists(path) and os.path.isfile(path.parent / PAIRS):
-        return path.parent, path.name
-    return path, None
 
 
 def open_layout(path: Path) -> DAIRFolder:
@@ -371,60 +368,63 @@ def positions(labels: list[Element], position: Floats, rotation: Floats) -> Floa
     return to_world(np.array(local).reshape(len(local), 3), position, rotation)
 
 
+class Side(NamedTuple):
+    """What an agent lists in a frame.
+
+    file: of its labels;  position, rotation: (3,) m and (3, 3) of its lidar in the world
+    reference: key of its tracks in the cooperative labels, "": they have none
+    """
+
+    file: Path
+    position: Floats
+    rotation: Floats
+    reference: str = ""
+
+
 def read_truth(
-    layout: DAIRFolder,
-    pairs: list[Pair],
-    car: LidarPoses,
-    pole: LidarPoses,
+    frames: Sequence[tuple[Path, tuple[Floats, Floats] | None, Sequence[Side]]],
     times_ns: Ints,
     match_m: float,
-    link_m: float | None,
+    link_m: float | None = None,
 ) -> Truth:
-    """The cooperative labels of a sequence in the world frame; agents are the car and the pole.
+    """The cooperative labels of a sequence in the world frame.
 
+    frames:  the file of the cooperative labels, their pose (None: they are in the world frame), and what each agent
+             lists, for each frame
     match_m: of labels without references to the sides' tracks; link_m: of labels without ids, None: refused
     """
-    cooperative, seen, places = Labels(layout.root / "cooperative"), [], []
-    for frame, pair in enumerate(pairs):
-        file = layout.cooperative_labels(pair)
+    folder = frames[0][0].parent
+    cooperative, seen, places = Labels(folder), [], []
+    for frame, (file, pose, sides) in enumerate(frames):
         labels = read_labels(file)
-        pose = car.position[frame], car.rotation[frame]
-        position = add_labels(cooperative, frame, labels, None if layout.in_world else pose)
-        own = layout.root / VEHICLE / "label" / "lidar" / f"{pair.vehicle}.json"
-        of_pole = layout.root / INFRASTRUCTURE / "label" / "virtuallidar" / f"{pair.infrastructure}.json"
-        sides = (own, pose, "veh_track_id"), (of_pole, (pole.position[frame], pole.rotation[frame]), "inf_track_id")
-        seen.append(np.stack([_seen(*side, labels, position, match_m) for side in sides], axis=1))
+        position = add_labels(cooperative, frame, labels, pose)
+        seen.append(np.stack([_seen(side, labels, position, match_m) for side in sides], axis=1))
         places += [f"{file}: {label.place}" for label in labels]
     if not places:
-        folder = layout.cooperative_labels(pairs[0]).parent
-        raise SceneError(f"{folder}: found no labels in {len(pairs)} frames, expected at least one")
+        raise SceneError(f"{folder}: found no labels in {len(frames)} frames, expected at least one")
     boxes, _ = cooperative.boxes()
     if "" in cooperative.tracks:
         if any(cooperative.tracks) or link_m is None:
             raise SceneError(
-                f"{places[cooperative.tracks.index('')]}: track_id is missing, expected one in every label. DAIR-V2X-C "
-                "has none; link_radius_m makes ids by distance, see docs/scenes_dair.md"
+                f"{places[cooperative.tracks.index('')]}: track_id is missing, expected one in every label. For "
+                "DAIR-V2X-C, which has none, link_radius_m makes ids by distance, see docs/scenes_dair.md"
             )
         ids = linked(boxes.frame, boxes.position, boxes.class_id.astype(np.int64), times_ns, link_m)
         boxes = replace(boxes, id=ids)
-    return Truth(boxes, np.concatenate(seen), np.ones((len(boxes), 2), bool))
+    listed = np.concatenate(seen)
+    return Truth(boxes, listed, np.ones_like(listed))
 
 
-def _seen(
-    path: Path, pose: tuple[Floats, Floats], reference: str, cooperative: list[Element], boxes: Floats, radius_m: float
-) -> Bools:
-    """Which of the cooperative labels (n,), with boxes at (n, 3), the car or the pole sees in a frame.
-
-    path: of its own labels; pose: of its lidar; reference: key of its tracks in cooperative labels
-    """
-    labels = read_labels(path)
-    near = matched(positions(labels, *pose), boxes, radius_m)
+def _seen(side: Side, cooperative: list[Element], boxes: Floats, radius_m: float) -> Bools:
+    """Which of the cooperative labels (n,), with boxes at (n, 3), an agent sees in a frame."""
+    labels = read_labels(side.file)
+    near = matched(positions(labels, side.position, side.rotation), boxes, radius_m)
     tracks = {track_of(label) for label in labels}
     for row, label in enumerate(cooperative):
-        if name := track_of(label, reference):
+        if name := track_of(label, side.reference):
             near[row] = name != _UNSEEN
             if near[row] and name not in tracks:
-                label[reference].fail(f"-1, or the track of a label in {path}")
+                label[side.reference].fail(f"-1, or the track of a label in {side.file}")
     return near
 
 
@@ -509,33 +509,33 @@ class DAIRScene(DataSetScene):
     def __post_init__(self) -> None:
         self.playing([VEHICLE], [INFRASTRUCTURE])
         self.check(max_time_difference_s=ABOVE_0, max_gap_s=ABOVE_0, match_radius_m=ABOVE_0, link_radius_m=ABOVE_0)
-        _, named = split_path(self.root)
-        if None not in (named, self.sequence) and named != str(self.sequence):
-            raise ConfigurationError(
-                f"{self.path}: sequence is {str(self.sequence)!r}, expected {named!r} as in the path"
-            )
+        self.chosen(PAIRS, "sequence")
 
     def inputs(self) -> Sequence[Path]:
         """The data set's folder."""
-        return (split_path(self.root)[0],)
-
-    def _chosen(self) -> str | None:
-        """The name of the sequence; None: the only one."""
-        return split_path(self.root)[1] if self.sequence is None else str(self.sequence)
+        return (self.chosen(PAIRS, "sequence")[0],)
 
     def time_differences_s(self) -> Floats:
         """(F,) s that each frame of the pole is later than the car's frame it is paired with.
 
         Raises SceneError and ConfigurationError as `record` does.
         """
-        return clocks(self._pairs(open_layout(self.inputs()[0])))[1]
+        _, pairs = self._pairs()
+        return clocks(pairs)[1]
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        layout = open_layout(self.inputs()[0])
-        pairs = self._pairs(layout)
+        layout, pairs = self._pairs()
         times, _ = clocks(pairs)
         car, pole = layout.poses(pairs)
-        truth = read_truth(layout, pairs, car, pole, times, self.match_radius_m, self.link_radius_m)
+        labelled = []
+        for frame, pair in enumerate(pairs):
+            pose = car.position[frame], car.rotation[frame]
+            sides = [
+                Side(layout.labels(VEHICLE, pair), *pose, "veh_track_id"),
+                Side(layout.labels(INFRASTRUCTURE, pair), pole.position[frame], pole.rotation[frame], "inf_track_id"),
+            ]
+            labelled.append((layout.cooperative_labels(pair), None if layout.in_world else pose, sides))
+        truth = read_truth(labelled, times, self.match_radius_m, self.link_radius_m)
         truth, object_id = with_car(truth, car)
         measured_ns = np.array([pair.infrastructure_time_ns for pair in pairs], np.int64)
         ego = SceneAgent("ego", "mobile", object_id, _CAR_LIDAR, _CAMERA)
@@ -546,12 +546,15 @@ class DAIRScene(DataSetScene):
             replace(path, points=listed_returns(truth.boxes, path, listed, ~known, frames))
             for path, listed, known in zip(paths, truth.seen.T, truth.known.T, strict=True)
         ][: 1 + (self.n_infrastructure != 0)]
-        name = f"{layout.root.name} {self._chosen() or ''}".strip()
+        _, (sequence,) = self.chosen(PAIRS, "sequence")
+        name = f"{layout.root.name} {sequence or ''}".strip()
         return assemble(name, times, truth.boxes, seen, self.detector, seed=seed, frames=frames)
 
-    def _pairs(self, layout: DAIRFolder) -> list[Pair]:
-        """The pairs of the requested frames, with times checked."""
-        pairs = read_pairs(layout, self._chosen())
+    def _pairs(self) -> tuple[DAIRFolder, list[Pair]]:
+        """The folders, and the pairs of the requested frames, with times checked."""
+        root, (sequence,) = self.chosen(PAIRS, "sequence")
+        layout = open_layout(root)
+        pairs = read_pairs(layout, sequence)
         # The number in the name of a frame, such as 123 for 000123.
         numbers = [int("0" + re.sub(r"[^0-9]", "", pair.vehicle)) for pair in pairs]
         chosen = [pairs[row] for row in choose_frames(layout.root, numbers, self.first_frame, self.last_frame)]
@@ -559,4 +562,4 @@ class DAIRScene(DataSetScene):
         times, difference = clocks(chosen)
         check_times(layout.clocks(VEHICLE), names, times, self.max_gap_s, "max_gap_s")
         check_differences(layout.clocks(INFRASTRUCTURE), names, "infra_1", difference, self.max_time_difference_s)
-        return chosen
+        return layout, chosen

@@ -12,16 +12,18 @@ import numpy as np
 
 from mast_datasets import dair
 from mast_datasets.files import choose_name, entries
-from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, check_times, listed_returns
+from mast_datasets.traffic import ABOVE_0, DataSetScene, check_times, listed_returns
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
+from mast_zenoh.errors import SceneError
+from mast_zenoh.scenes.making.assembly import assemble
 from mast_zenoh.scenes.making.virtual_agents import standing
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera, LidarSensor
 
 _COOPERATIVE = "coop"
 _CALIBRATION = "calib/lidar2world"
+#: Times (F,) ns and label files of a sequence.
+_Clock = tuple[Ints, list[Path]]
 _TIME = re.compile(r"([0-9]{1,10})(?:\.([0-9]{1,9}))?", re.ASCII)
 _LIDAR = LidarSensor(
     mount_position=np.zeros(3), elevation_min_deg=-40.0, elevation_max_deg=15.0, channels=80, max_range_m=200.0
@@ -60,72 +62,63 @@ class RCooperScene(DataSetScene):
 
     def __post_init__(self) -> None:
         self.check(max_time_difference_s=ABOVE_0, max_gap_s=ABOVE_0, match_radius_m=ABOVE_0)
-        for name, expected in zip(("site", "sequence"), _split_path(self.root)[1:], strict=True):
-            value = getattr(self, name)
-            if None not in (value, expected) and value != expected:
-                raise ConfigurationError(f"{self.path}: {name} is {value!r}, expected {expected!r} as in the path")
+        self.chosen(_CALIBRATION, "site", "sequence")
 
     def inputs(self) -> Sequence[Path]:
         """The data set's folder."""
-        return (_split_path(self.root)[0],)
+        return (self.chosen(_CALIBRATION, "site", "sequence")[0],)
 
     def time_differences_s(self) -> dict[str, Floats]:
         """(F,) s that each frame of a pole is later than the cooperative frame, by the pole's number in the data.
 
         Raises SceneError and ConfigurationError as `record` does.
         """
-        folder, agents, sequence = self._folders()
-        times, _ = self._frames(folder / _COOPERATIVE / sequence)
-        differences = {}
-        for agent in agents:
-            moments, files = self._frames(own := folder / agent / sequence, len(times))
-            differences[agent] = (moments - times) / 1e9
-            names = [file.name for file in files]
-            dair.check_differences(own, names, f"agent {agent}", differences[agent], self.max_time_difference_s)
-        return differences
+        (times, _), poles = self._clocks(*self._folders())
+        return {agent: (moments - times) / 1e9 for agent, (moments, _) in poles.items()}
 
     def record(self, seed: int, frames: int | None) -> Recording:
         folder, agents, sequence = self._folders()
+        (times, files), poles = self._clocks(folder, agents, sequence)
+        names = [file.name for file in files]
+        check_times(folder / _COOPERATIVE / sequence, names, times, self.max_gap_s, "max_gap_s")
         (root,) = self.inputs()
-        self.time_differences_s()
-        cooperative = folder / _COOPERATIVE / sequence
-        times, files = self._frames(cooperative)
-        check_times(cooperative, [file.name for file in files], times, self.max_gap_s, "max_gap_s")
         poses = [dair.read_transform(root / _CALIBRATION / f"{agent}.json") for agent in agents]
-        boxes = _truth(files, poses[0])
+        listed = [
+            [dair.Side(file, *pose) for file in own] for (_, own), pose in zip(poles.values(), poses, strict=True)
+        ]
+        labelled = [(file, poses[0], sides) for file, *sides in zip(files, *listed, strict=True)]
+        truth = dair.read_truth(labelled, times, self.match_radius_m)
         paths = []
-        for column, (agent, pose) in enumerate(zip(agents, poses, strict=True)):
+        for column, ((measured, _), pose) in enumerate(zip(poles.values(), poses, strict=True)):
             path = standing("ego" if column == 0 else f"infra_{column}", _LIDAR, *pose, len(times))
-            seen = np.zeros(len(boxes), bool)
-            measured, own_files = self._frames(folder / agent / sequence, len(times))
-            for frame, file in enumerate(own_files):
-                rows = boxes.frame == frame
-                seen[rows] = dair.matched(
-                    dair.positions(dair.read_labels(file), *pose), boxes.position[rows], self.match_radius_m
-                )
-            returns = listed_returns(boxes, path, seen, frames=frames)
+            returns = listed_returns(truth.boxes, path, truth.seen[:, column], frames=frames)
             paths.append(replace(path, points=returns, measured_ns=measured))
-        return assemble(f"{folder.name} {sequence}", times, boxes, paths, self.detector, seed=seed, frames=frames)
+        return assemble(f"{folder.name} {sequence}", times, truth.boxes, paths, self.detector, seed=seed, frames=frames)
 
     def _folders(self) -> tuple[Path, list[str], str]:
         """The folder of the site's labels, the poles that play, and the name of the sequence."""
-        root, site, sequence = _split_path(self.root)
+        root, (site, sequence) = self.chosen(_CALIBRATION, "site", "sequence")
         if not os.path.isdir(root):
             raise SceneError(f"{root}: no such folder")
         labels = root / "labels"
         labels = labels if os.path.isdir(labels) else root / "label"
-        folder = labels / _chosen(labels, "site", self.site or site)
+        folder = labels / _folder_in(labels, "site", site)
         agents = folder.name.split("-")
-        for name in (*agents, _COOPERATIVE):
-            if not os.path.isdir(folder / name):
-                raise SceneError(f"{folder / name}: no such folder, expected one for every pole and coop")
         if len(set(agents)) != len(agents) or len(agents) < 2:
             raise SceneError(f"{folder}: found agents {', '.join(agents)}, expected at least two different ones")
         _, others = self.playing(agents[:1], agents[1:], "poles besides the ego")
-        sequence = _chosen(folder / _COOPERATIVE, "sequence", self.sequence or sequence)
-        return folder, [agents[0], *others], sequence
+        return folder, [agents[0], *others], _folder_in(folder / _COOPERATIVE, "sequence", sequence)
 
-    def _frames(self, folder: Path, count: int | None = None) -> tuple[Ints, list[Path]]:
+    def _clocks(self, folder: Path, agents: list[str], sequence: str) -> tuple[_Clock, dict[str, _Clock]]:
+        """The cooperative frames, and those of the poles, by their numbers in the data."""
+        times, files = self._frames(folder / _COOPERATIVE / sequence)
+        poles = {agent: self._frames(folder / agent / sequence, len(times)) for agent in agents}
+        for agent, (moments, own) in poles.items():
+            names, difference_s = [file.name for file in own], (moments - times) / 1e9
+            dair.check_differences(own[0].parent, names, f"agent {agent}", difference_s, self.max_time_difference_s)
+        return (times, files), poles
+
+    def _frames(self, folder: Path, count: int | None = None) -> _Clock:
         """Times (F,) ns and label files of a sequence, in the order of their times.
 
         count: how many are expected
@@ -139,30 +132,7 @@ class RCooperScene(DataSetScene):
         return np.array([time for time, _ in moments], np.int64), [file for _, file in moments]
 
 
-def _split_path(path: Path) -> tuple[Path, str | None, str | None]:
-    """The folder of the data set, and the names of a site and of a sequence if the path ends in them."""
-    if not os.path.exists(path) and os.path.isdir(path.parent / _CALIBRATION):
-        return path.parent, path.name, None
-    if not os.path.exists(path) and os.path.isdir(path.parent.parent / _CALIBRATION):
-        return path.parent.parent, path.parent.name, path.name
-    return path, None, None
-
-
-def _truth(files: list[Path], pose: tuple[Floats, Floats]) -> SceneBoxes:
-    """The cooperative boxes in the world frame. pose: of the first pole."""
-    truth = Labels(files[0].parent)
-    for frame, file in enumerate(files):
-        labels = dair.read_labels(file)
-        for label in labels:
-            if not dair.track_of(label):
-                label["track_id"].fail("a name or a number")
-        dair.add_labels(truth, frame, labels, pose)
-    if not truth.tracks:
-        raise SceneError(f"{files[0].parent}: found no labels in {len(files)} frames, expected at least one")
-    return truth.boxes()[0]
-
-
-def _chosen(folder: Path, parameter: str, value: str | None) -> str:
+def _folder_in(folder: Path, parameter: str, value: str | None) -> str:
     """The name of a folder in `folder`: a parameter's value, or the only one."""
     return choose_name(folder, parameter, (entry.name for entry in entries(folder) if os.path.isdir(entry)), value)
 

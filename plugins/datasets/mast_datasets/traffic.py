@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -111,6 +112,26 @@ class DataSetScene(Scene):
     def inputs(self) -> Sequence[Path]:
         """The file or folder at the path."""
         return (self.root,)
+
+    def chosen(self, marker: str, *parameters: str) -> tuple[Path, list[str | None]]:
+        """The folder of the data set, and the values of parameters as text, which may follow the folder in the path.
+
+        marker: path in the folder of something that is there; parameters: in the order of the path
+
+        Raises ConfigurationError for a value that is another one than in the path.
+        """
+        root, values = self.root, [getattr(self, name) for name in parameters]
+        texts = [None if value is None else str(value) for value in values]
+        for count, above in enumerate(self.root.parents[: len(parameters)], start=1):
+            if os.path.exists(self.root) or not os.path.exists(above / marker):
+                continue
+            root, named = above, self.root.parts[-count:]
+            for row, name in enumerate(named):
+                if texts[row] not in (None, name):
+                    found = f"{parameters[row]} is {texts[row]!r}"
+                    raise ConfigurationError(f"{self.path}: {found}, expected {name!r} as in the path")
+                texts[row] = name
+        return root, texts
 
     def check(self, **limits: tuple[float, float]) -> None:
         """Raise ConfigurationError for a parameter that is no number within its limits, nor None if that is usual."""

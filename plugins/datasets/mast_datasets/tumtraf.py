@@ -244,11 +244,8 @@ class TUMTrafV2X(DataSetScene):
         self.check(max_gap_s=ABOVE_0)
 
     def inputs(self) -> Sequence[Path]:
-        """The folder with the labels; that of the split, if there is none."""
-        try:
-            return (find_labels(self.root),)
-        except SceneError:
-            return (self.root,)
+        """The folder with the labels."""
+        return (find_labels(self.root),)
 
     def record(self, seed: int, frames: int | None) -> Recording:
         folder = find_labels(self.root)

@@ -248,12 +248,8 @@ class UrbanIngV2X(DataSetScene):
     sequence: str | None = None
 
     def inputs(self) -> Sequence[Path]:
-        """The sequence's folder and the files about it; `path`, if there is none."""
-        try:
-            files = find_sequence(self.root, self.sequence)
-        except (SceneError, ConfigurationError):
-            return (self.root,)
-        return (files.folder, files.labels, files.av_tracks, files.av_data)
+        """The sequence's folder and the files about it."""
+        return find_sequence(self.root, self.sequence)
 
     def record(self, seed: int, frames: int | None) -> Recording:
         files = find_sequence(self.root, self.sequence)

@@ -92,7 +92,8 @@ def test_a_twin_has_the_poses_boxes_ids_and_visibility_of_its_source(twin: Path)
 def test_the_label_folder_itself_and_the_older_name_of_its_parent_are_found(twin: Path, tmp_path: Path) -> None:
     assert read(twin / LABELS).agent_names == ("ego", "infra_1")
     assert TUMTrafV2X(path=str(twin)).inputs() == (twin / LABELS,)
-    assert TUMTrafV2X(path=str(tmp_path / "nowhere")).inputs() == (tmp_path / "nowhere",)
+    with pytest.raises(SceneError, match="nowhere: no such folder"):
+        TUMTrafV2X(path=str(tmp_path / "nowhere")).inputs()
     (tmp_path / "val").mkdir()
     (tmp_path / "val" / "_labels_point_clouds").symlink_to(twin / "labels_point_clouds")
     assert len(read(tmp_path / "val")) == FRAMES

@@ -85,7 +85,8 @@ def test_the_folder_of_a_sequence_is_found_in_its_data_set(twin: Path) -> None:
     for path, named in ((f"dataset/{SEQUENCE}", None), (f"dataset/{SEQUENCE}", SEQUENCE), ("", SEQUENCE)):
         assert read(twin / path, 1, sequence=named).name == SEQUENCE
     assert {twin / "dataset" / SEQUENCE, twin / LABELS, twin / OWN} < set(UrbanIngV2X(path=str(twin)).inputs())
-    assert UrbanIngV2X(path=str(twin), sequence="other").inputs() == (twin,)
+    with pytest.raises(ConfigurationError, match="unknown sequence 'other'"):
+        UrbanIngV2X(path=str(twin), sequence="other").inputs()
 
 
 def test_one_of_several_sequences_is_chosen_by_name(root: Path) -> None:
