@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from mast_datasets.archive import unpack
-from mast_datasets.files import Coordinate, Element, Point, closed_outline, read_json
+from mast_datasets.files import Coordinate, Element, Point, Size, closed_outline, only, read_json
 from mast_datasets.traffic import ABOVE_0, DataSetScene, boxes_of, check_steps
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import Detections, Floats, Ints
@@ -43,16 +43,11 @@ class RunLayout(NamedTuple):
         return next((folder / name for folder in self.search_folders if (folder / name).is_file()), None)
 
     def frames(self) -> dict[int, Path]:
-        """The actors' file of every frame, in order.
-
-        Raises SceneError for gaps and for missing files.
-        """
+        """The actors' file of every frame, in order. Raises SceneError for gaps."""
         folder = self.run / "objects"
-        actors, others = (_files(folder, kind) for kind in ("actors", "npcs"))
+        actors = _files(folder, "actors")
         if not actors:
             raise SceneError(f"{folder}: no file objectstate-actors-<frame>-<time>.txt")
-        _files(folder, "npcs", list(actors))
-        _files(folder, "actors", list(others))
         check_steps(folder, list(actors))
         return actors
 
@@ -98,13 +93,8 @@ def find_layout(path: Path) -> RunLayout:
         return RunLayout(path, (path, path.parent))
     patterns = ("*/" * depth + "objects" for depth in range(1, _MAX_DEPTH + 1))
     runs = [found.parent for pattern in patterns for found in sorted(path.glob(pattern)) if found.is_dir()]
-    if not runs:
-        raise SceneError(f"{path}: no run folder, expected a folder with objects/, objects_sensor/ and data/")
-    if len(runs) > 1:
-        names = ", ".join(str(run.relative_to(path)) for run in runs[:5])
-        raise SceneError(f"{path}: {len(runs)} runs ({names}), expected the path of one")
-    above = [folder for folder in runs[0].parents if folder == path or path in folder.parents]
-    return RunLayout(runs[0], (runs[0], *above))
+    run = only(path, "run folders, which have objects/, objects_sensor/ and data/", runs)
+    return RunLayout(run, (run, *(folder for folder in run.parents if folder == path or path in folder.parents)))
 
 
 def _files(folder: Path, kind: str, frames: Sequence[int] | None = None) -> dict[int, Path]:
@@ -120,17 +110,15 @@ def _files(folder: Path, kind: str, frames: Sequence[int] | None = None) -> dict
         if match is None:
             raise SceneError(f"{path}: found no frame number in the name, expected {begin}… with one")
         files[int(match[1])] = path
-    missing = [frame for frame in frames or () if frame not in files]
-    if frames and missing:
-        count = f"{len(missing)} of {len(frames)} frames"
-        raise SceneError(f"{folder}: no {kind} file for frame {missing[0]} (missing for {count})")
+    for frame in frames or ():
+        if frame not in files:
+            raise SceneError(f"{folder}: no {kind} file for frame {frame}")
     return {frame: files[frame] for frame in (sorted(files) if frames is None else frames)}
 
 
 #: Values of `occlusion` of an object that a sensor does not see: invalid and complete. 0, 1 and 2 mean none, partial
 #: and most, 99 means unknown.
 _HIDDEN = (-1, 3)
-_Side = Annotated[float, Meta(gt=0, le=1e8)]  # m
 _Fraction = Annotated[float, Meta(ge=0, le=1)]
 _Time = Annotated[float, Meta(ge=-9e9, le=9e9)]  # s; more nanoseconds are no 64 bit number
 _Pixels = Annotated[list[Annotated[int, Meta(ge=0, le=10**6)]], Meta(min_length=2)]
@@ -178,7 +166,7 @@ def _object_state(data: Element) -> ObjectState:
     centre = size = yaw = None
     if data.get("box") is not None:
         box = _parsed(data["box"])["box3d"]
-        height, width, length = box["hwl"].read(tuple[_Side, _Side, _Side])
+        height, width, length = box["hwl"].read(Size)
         turn = _rotation(box)
         bottom = box["where_is_t"].text(("bottom", "center")) == "bottom"
         centre = _point(box, "position") + (turn[:, 2] * height / 2 if bottom else 0.0)

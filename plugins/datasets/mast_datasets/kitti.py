@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from mast_datasets.files import Element, choose_name, orthonormal, read_lines
+from mast_datasets.files import Coordinate, Element, Side, choose_name, orthonormal, read_lines
 from mast_datasets.traffic import TrafficScene, boxes_of, choose_frames, classes_of, listed_returns
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
@@ -40,12 +40,6 @@ CLASS_OF_TYPE = classes_of(
     unknown="Tram Misc",
 )
 _NO_OBJECT = "DontCare"
-#: Names of the matrices, in the tracking benchmark and in the object benchmark.
-_MATRICES = {
-    "rectification": ("R_rect", "R0_rect"),
-    "lidar_to_camera": ("Tr_velo_cam", "Tr_velo_to_cam"),
-    "imu_to_lidar": ("Tr_imu_velo", "Tr_imu_to_velo"),
-}
 
 
 class CameraLabels(NamedTuple):
@@ -67,13 +61,10 @@ class Calibration(NamedTuple):
     lidar: tuple[Floats, Floats]
 
 
-_Place = Annotated[float, Meta(ge=-1e5, le=1e5)]  # m
-_Side = Annotated[float, Meta(gt=0, le=100)]  # m
 _Degrees = Annotated[float, Meta(ge=-180, le=180)]
 _Angle = Annotated[float, Meta(ge=-7, le=7)]  # rad
 #: Latitude, longitude, altitude, roll, pitch and yaw.
-_Pose = tuple[Annotated[float, Meta(ge=-89, le=89)], _Degrees, _Place, _Angle, _Angle, _Angle]
-_Number = Annotated[float, Meta(ge=-1e4, le=1e4)]  # of a matrix
+_Pose = tuple[Annotated[float, Meta(ge=-89, le=89)], _Degrees, Coordinate, _Angle, _Angle, _Angle]
 
 
 class _Label(Struct):
@@ -81,12 +72,12 @@ class _Label(Struct):
     track: Annotated[int, Meta(ge=0, le=10**9)]
     type: Literal[tuple(CLASS_OF_TYPE)]  # type: ignore[valid-type]  # they are known when it runs
     occluded: Annotated[int, Meta(ge=-1, le=3)]
-    height: _Side
-    width: _Side
-    length: _Side
-    x: _Place
-    y: _Place
-    z: _Place
+    height: Side
+    width: Side
+    length: Side
+    x: Coordinate
+    y: Coordinate
+    z: Coordinate
     rotation_y: Annotated[float, Meta(ge=-1e3, le=1e3)]
 
 
@@ -116,22 +107,21 @@ def read_calibration(path: Path) -> Calibration:
         if name in values:
             raise SceneError(f"{path}: line {number}: found {name} twice, expected it once")
         values[name] = Element(fields[1:], path, f"line {number}: {name}")
-    rectification, _ = _matrix(path, values, "rectification", 3)
-    to_camera, camera_shift = _matrix(path, values, "lidar_to_camera", 4)
-    to_lidar, lidar_shift = _matrix(path, values, "imu_to_lidar", 4)
+    rectification, _ = _matrix(path, values, "R_rect", 3)
+    to_camera, camera_shift = _matrix(path, values, "Tr_velo_cam", 4)
+    to_lidar, lidar_shift = _matrix(path, values, "Tr_imu_velo", 4)
     lidar = to_lidar.T, -to_lidar.T @ lidar_shift
     camera_in_lidar = -to_camera.T @ camera_shift
     camera = lidar[0] @ to_camera.T @ rectification.T, lidar[0] @ camera_in_lidar + lidar[1]
     return Calibration(camera, lidar)
 
 
-def _matrix(path: Path, values: dict[str, Element], what: str, columns: int) -> tuple[Floats, Floats]:
+def _matrix(path: Path, values: dict[str, Element], name: str, columns: int) -> tuple[Floats, Floats]:
     """Rotation (3, 3) and last column (3,) of a matrix of three rows."""
-    names = [name for name in _MATRICES[what] if name in values]
-    if len(names) != 1:
-        raise SceneError(f"{path}: found {len(names)} of {' and '.join(_MATRICES[what])}, expected one of them")
-    listed = values[names[0]]
-    numbers = listed.read(Annotated[list[_Number], Meta(min_length=3 * columns, max_length=3 * columns)])
+    if name not in values:
+        raise SceneError(f"{path}: found no matrix {name}, expected one")
+    listed = values[name]
+    numbers = listed.read(Annotated[list[Coordinate], Meta(min_length=3 * columns, max_length=3 * columns)])
     matrix = np.array(numbers).reshape(3, columns)
     return orthonormal(matrix[:, :3], listed), matrix[:, -1] if columns == 4 else np.zeros(3)
 

@@ -13,7 +13,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from msgspec import Meta, Struct
 
-from mast_datasets.files import Element, entries, find_folder
+from mast_datasets.files import Coordinate, Element, Point, Size, entries, find_folder
 from mast_datasets.traffic import classes_of
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
@@ -105,11 +105,7 @@ V2V4REAL = Variant(
 )
 
 
-#: Limit on coordinates, m, and on angles, degrees.
-MAX_COORDINATE = 1e7
-_Number = Annotated[float, Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
-_Triple = tuple[_Number, _Number, _Number]
-_Pose = tuple[_Number, _Number, _Number, _Number, _Number, _Number]
+_Pose = tuple[Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate]
 _FLIP = np.array([1.0, -1.0, 1.0])
 
 
@@ -236,7 +232,6 @@ def file_of_frame(folder: Path, files: dict[int, Path], frame: int, ending: str 
 
 _Id = Annotated[int, Meta(ge=0, le=10**12)]
 _Count = Annotated[int, Meta(ge=0, le=2**31 - 1)]
-_Half = Annotated[float, Meta(gt=0, le=1000)]  # m
 
 
 class _Visible(Struct):
@@ -246,10 +241,10 @@ class _Visible(Struct):
 
 
 class _Placed(Struct):
-    location: _Triple
-    center: _Triple
-    extent: tuple[_Half, _Half, _Half]
-    angle: _Triple
+    location: Point
+    center: Point
+    extent: Size
+    angle: Point
     ass_id: Annotated[int, Meta(ge=-1, le=10**12)] | None = None
 
 

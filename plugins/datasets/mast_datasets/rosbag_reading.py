@@ -79,10 +79,7 @@ class TopicReader(ABC, Generic[Entry]):
 
     source: the entry;  place: of it in the map, for messages
     count: messages;  remarks: what was left out or changed, in words, and how often
-    changes: whether it changes the messages that it reads
     """
-
-    changes = False
 
     def __init__(self, source: Entry, place: str, bag_map: BagMap) -> None:
         self.source, self.place = source, place
@@ -246,8 +243,6 @@ class SensorMeasurements(NamedTuple):
 
 class DetectionReader(TopicReader[DetectionsEntry]):
     """The detections of a sensor."""
-
-    changes = True
 
     def __init__(self, source: DetectionsEntry, place: str, bag_map: BagMap) -> None:
         super().__init__(source, place, bag_map)
@@ -478,29 +473,21 @@ def read_topics(bag: Bag, bag_map: BagMap, path: Path) -> dict[TopicSource, Topi
             types |= parse_definition(name, text)
     except ValueError as error:
         raise ConfigurationError(f"{path}: types: {error}") from None
-    of_topic: dict[tuple[str, Any], list[tuple[Decode, list[TopicReader[Any]]]]] = {}
+    of_topic: dict[tuple[str, Any], list[tuple[TopicReader[Any], Decode]]] = {}
     for number, (connection, received_ns, payload) in enumerate(bag.messages({each.topic for each in readers})):
         key = connection.topic, (connection.msgtype, connection.msgdef, connection.digest)
         if key not in of_topic:
-            sharing: dict[int, tuple[Decode, list[TopicReader[Any]]]] = {}
-            for row, reader in enumerate(readers.values(), start=1):
-                if reader.source.topic == connection.topic:
-                    decode = reader.decoder(str(bag.path), connection, types)
-                    # Readers of detections change messages; all others share one, for many agents may be on /tf.
-                    sharing.setdefault(row * reader.changes, (decode, []))[1].append(reader)
-            of_topic[key] = list(sharing.values())
+            there = [reader for reader in readers.values() if reader.source.topic == connection.topic]
+            of_topic[key] = [(reader, reader.decoder(str(bag.path), connection, types)) for reader in there]
         if number >= MAX_MESSAGES:
             raise SceneError(f"{bag.path}: found more than {MAX_MESSAGES} messages of mapped topics")
-        for decode, of_decoder in of_topic[key]:
+        for reader, decode in of_topic[key]:
             try:
                 message = decode(payload)
             except MessageError as error:
-                raise SceneError(
-                    f"{bag.path}: {connection.topic}: message {of_decoder[0].count}, received at {received_ns} ns, "
-                    f"cannot be read: {error}"
-                ) from None
-            for reader in of_decoder:
-                reader.add(message, received_ns)
+                place = f"{bag.path}: {connection.topic}: message {reader.count}, received at {received_ns} ns"
+                raise SceneError(f"{place}, cannot be read: {error}") from None
+            reader.add(message, received_ns)
     for reader in readers.values():
         _check_used(bag, reader)
     return readers

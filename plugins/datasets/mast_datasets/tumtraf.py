@@ -91,14 +91,13 @@ CLASS_OF_TYPE = classes_of(
 class LabelledFrame(NamedTuple):
     """A labelled frame.
 
-    properties: where it is in the file, for messages; objects: of the frame, by track, and of the whole file
+    properties: where it is in the file, for messages; objects: by track
     """
 
     time_ns: int
     properties: Element
     coordinates: Coordinates
     objects: Element | None
-    described: Element | None
 
     def add_boxes(self, row: int, labels: Labels, system: str, root: str) -> None:
         """Add the labelled boxes in the root's frame.
@@ -118,10 +117,7 @@ class LabelledFrame(NamedTuple):
                 self.check_root(name, located[name][0], root)
             _, position, rotation = located[name]
             middle, turn, size = _cuboid(cuboid["val"])
-            # The type of an object is with it, as in TUMTraf, or in the file's objects, as in the standard.
-            described = self.described.get(track) if self.described else None
-            kind = data["type"] if described is None or data.get("type") else described["type"]
-            class_id = CLASS_OF_TYPE.get(kind.text().lower(), CLASS_INDEX["unknown"])
+            class_id = CLASS_OF_TYPE.get(data["type"].text().lower(), CLASS_INDEX["unknown"])
             labels.add(row, track, position + rotation @ middle, size, float(heading(rotation @ turn)), class_id)
 
     def check_root(self, name: str, found: str, root: str) -> None:
@@ -169,8 +165,7 @@ def _frames(file: Path) -> Iterator[LabelledFrame]:
         properties = frame["frame_properties"]
         # Microseconds, since a number of seconds since 1970 has no more digits than that.
         time_ns = round(properties["timestamp"].read(_Time) * 1e6) * 1000
-        coordinates = Coordinates(openlabel, properties)
-        yield LabelledFrame(time_ns, properties, coordinates, frame.get("objects"), openlabel.get("objects"))
+        yield LabelledFrame(time_ns, properties, Coordinates(openlabel, properties), frame.get("objects"))
 
 
 def _cuboid(element: Element) -> tuple[Floats, Floats, Floats]:

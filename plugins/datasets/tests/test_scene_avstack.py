@@ -199,7 +199,7 @@ TURNED = json.loads(json.dumps(npcs_at(5)[1]).replace("1.0", "2.0"))
     ("damage", "message"),
     [
         (content(ACTORS, b'{"datacontainer"'), "not JSON: Input data was truncated"),
-        (removed(NPCS), r"objects: no npcs file for frame 5 \(missing for 1 of 4"),
+        (removed(NPCS), r"objectstate-npcs-0000000005-000000000\.50\.txt: .*No such file"),
         (removed("objects/*-0000000006-*"), "objects: frame 5 is followed by 7, expected 6"),
         (removed("objects_sensor/lidar-0-1/*-0000000006-*"), "lidar-0-1: no objects file for frame 6"),
         (Damage("", lambda run: shutil.rmtree(run / "data/lidar-0-0")), "data: no folder lidar-<k>-0 for agent 0"),
@@ -217,7 +217,10 @@ TURNED = json.loads(json.dumps(npcs_at(5)[1]).replace("1.0", "2.0"))
         (actors(*actors_at(5)[:1]), r"actors \[0\], but \[0, 1\] in the first frame"),
         (Damage("", without_ego), "no actor has a box"),
         (content("objects/objectstate-actors-5.txt", b""), "found no frame number in the name"),
-        (Damage("", lambda run: (run / "objects").rename(run / "things")), "run-0: no run folder"),
+        (
+            Damage("", lambda run: (run / "objects").rename(run / "things")),
+            "run-0: found 0 run folders, which have objects/",
+        ),
     ],
 )
 def test_a_damaged_scene_is_refused_with_file_and_reason(run: Path, damage: Damage, message: str) -> None:
