@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from msgspec import Meta
 
-from mast_datasets.files import Coordinate, Element, closed_outline, find_file
+from mast_datasets.files import Coordinate, Element, XmlElement, closed_outline, find_file, has_root, read_xml
 from mast_datasets.traffic import (
     HEIGHT_OF_CLASS,
     TrafficScene,
@@ -19,7 +19,6 @@ from mast_datasets.traffic import (
     ego_in_traffic,
     ground_below,
 )
-from mast_datasets.xml_files import XmlElement, has_root, read_xml
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble

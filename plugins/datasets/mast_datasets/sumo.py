@@ -10,11 +10,10 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from msgspec import Meta
 
-from mast_datasets.files import Element, find_file
+from mast_datasets.files import Element, find_file, has_root
 from mast_datasets.sumo_files import TraceRow, VehicleType, VehicleTypes, read_buildings, read_steps
 from mast_datasets.sumo_traffic import SUFFIXES, SumoTraffic
 from mast_datasets.traffic import TrafficScene, busiest_vehicle, check_times, ego_in_traffic, ground_below, near_route
-from mast_datasets.xml_files import has_root
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.base import Scene

@@ -12,8 +12,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from msgspec import Meta, Struct
 
-from mast_datasets.files import Coordinate, Element, closed_outline, read_lines
-from mast_datasets.xml_files import XmlElement, read_xml
+from mast_datasets.files import Coordinate, Element, XmlElement, closed_outline, read_lines, read_xml
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError
 

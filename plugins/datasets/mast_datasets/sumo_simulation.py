@@ -26,10 +26,9 @@ import msgpack
 import numpy as np
 from msgspec import Meta
 
-from mast_datasets.files import Element
+from mast_datasets.files import Element, XmlHandler, read_xml
 from mast_datasets.sumo_files import VehicleType, type_of_class
 from mast_datasets.sumo_process import MAX_MESSAGE
-from mast_datasets.xml_files import XmlHandler, read_xml
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 

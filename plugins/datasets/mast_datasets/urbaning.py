@@ -16,7 +16,7 @@ from msgspec import Meta, Struct
 from mast_datasets.files import Element, Name, Point, Size, choose_name, read_json
 from mast_datasets.traffic import DataSetScene, Labels, check_times, classes_of, ground_below
 from mast_zenoh.arrays.geometry import heading
-from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
+from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenes.detection_tables import read_text
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
@@ -172,14 +172,17 @@ class _Labelled(Struct):
 
 
 class Track(NamedTuple):
-    """The n boxes of a track, with the rows of their frames, and where it is in its file."""
+    """A track: where it is in its file, its n labels, the row of the frame of each, and its size m in each."""
 
-    frame: Ints
-    position: Floats
-    size: Floats
-    yaw: Floats
-    class_id: int
     element: Element
+    labels: _Labelled
+    frames: list[int]
+    sizes: list[tuple[float, float, float]]
+
+    @property
+    def class_id(self) -> int:
+        """Index into CLASSES."""
+        return CLASS_OF_TYPE.get(self.labels.object_type, CLASS_INDEX["unknown"])
 
 
 def read_tracks(path: Path, times_ms: list[int]) -> dict[str, Track]:
@@ -190,10 +193,10 @@ def read_tracks(path: Path, times_ms: list[int]) -> dict[str, Track]:
     frame_at = {time + error: row for row, time in enumerate(times_ms) for error in _errors(times_ms)}
     tracks: dict[str, Track] = {}
     for element in read_json(path)["tracks"].elements():
-        track: _Labelled = element.read(_Labelled)
-        if str(track.track_id) in tracks:
+        labels: _Labelled = element.read(_Labelled)
+        if str(labels.track_id) in tracks:
             element["track_id"].fail("an id that no other track has")
-        tracks[str(track.track_id)] = _boxes_of(element, track, frame_at)
+        tracks[str(labels.track_id)] = _track(element, labels, frame_at)
     return tracks
 
 
@@ -204,21 +207,19 @@ def _errors(times_ms: list[int]) -> range:
     return range(-error, error + 1)
 
 
-def _boxes_of(element: Element, track: _Labelled, frame_at: Mapping[int, int]) -> Track:
-    n, frames = len(track.timestamps), list[int]()
-    for row, time in enumerate(track.timestamps):
+def _track(element: Element, labels: _Labelled, frame_at: Mapping[int, int]) -> Track:
+    n, frames = len(labels.timestamps), list[int]()
+    for row, time in enumerate(labels.timestamps):
         frame = frame_at.get(round(time * 1000), -1)
         if frame <= (frames[-1] if frames else -1):
             reason = "the time of a frame in timesync_info.csv, s" if frame < 0 else "a time after the one before"
             element["timestamps"].elements()[row].fail(reason)
         frames.append(frame)
-    sizes = track.dimensions * n if len(track.dimensions) == 1 else track.dimensions
-    for name, values in (("positions", track.positions), ("dimensions", sizes), ("orientations", track.orientations)):
+    sizes = labels.dimensions * n if len(labels.dimensions) == 1 else labels.dimensions
+    for name, values in (("positions", labels.positions), ("dimensions", sizes), ("orientations", labels.orientations)):
         if len(values) != n:
             element[name].fail(f"a list of {n}")
-    class_id = CLASS_OF_TYPE.get(track.object_type, CLASS_INDEX["unknown"])
-    places, shapes = (np.array(values).reshape(-1, 3) for values in (track.positions, sizes))
-    return Track(np.array(frames, np.int64), places, shapes, np.array(track.orientations), class_id, element)
+    return Track(element, labels, frames, sizes)
 
 
 #: Models of the lidars, whose channels and angles are not in the files.
@@ -286,9 +287,9 @@ def _boxes(
     """
     labels = Labels(files.labels)
     for name, track in tracks.items():
-        columns = zip(track.frame.tolist(), track.position, track.size, track.yaw.tolist(), strict=True)
+        columns = zip(track.frames, track.labels.positions, track.sizes, track.labels.orientations, strict=True)
         for frame, place, size, yaw in columns if name not in own_tracks.values() else ():
-            labels.add(frame, name, place, size, yaw, track.class_id)
+            labels.add(frame, name, np.array(place), np.array(size), yaw, track.class_id)
     all_boxes, ids = labels.boxes(own_tracks.values())
     unused = max(ids.values(), default=0) + 1
     parts, objects = [all_boxes], {}
@@ -296,16 +297,16 @@ def _boxes(
         name = own_tracks.get(vehicle, "")
         objects[vehicle] = ids[name] if name else unused + k
         own_size, class_id = read_av_size(files, vehicle), CLASS_INDEX["car"]
-        if name in tracks and len(tracks[name].frame):
+        if name in tracks and tracks[name].frames:
             track = tracks[name]
-            expected = position[track.frame]
-            error = np.linalg.norm(track.position - expected, axis=1)
+            expected = position[track.frames]
+            error = np.linalg.norm(np.array(track.labels.positions) - expected, axis=1)
             if error.max() > _MAX_LABEL_ERROR_M:
                 track.element["positions"].elements()[row := int(error.argmax())].fail(
                     f"a position within {_MAX_LABEL_ERROR_M:g} m of {vehicle} in its state, "
                     f"{np.round(expected[row], 2).tolist()}"
                 )
-            own_size, class_id = track.size[0], track.class_id
+            own_size, class_id = np.array(track.sizes[0]), track.class_id
         own_size = _CAR_SIZE if own_size is None else own_size
         parts.append(SceneBoxes.throughout(objects[vehicle], position, own_size, heading(rotation), class_id))
     return SceneBoxes.concatenate(parts), objects

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 from mast_datasets import files
-from mast_datasets.files import MAX_LINE, Coordinate, Element, read_lines, read_pieces
-from mast_datasets.xml_files import read_xml
+from mast_datasets.files import MAX_LINE, Coordinate, Element, read_lines, read_pieces, read_xml
 
 from mast_zenoh.errors import SceneError
 
@@ -72,7 +71,7 @@ def test_entities_are_refused_before_any_is_expanded(file: Path) -> None:
 def test_damaged_files_are_refused_with_their_line(
     file: Path, text: str, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mast_datasets.xml_files._MAX_PARTS", 100)
+    monkeypatch.setattr("mast_datasets.files._MAX_PARTS", 100)
     file.write_text(text)
     with pytest.raises(SceneError, match=f"file: {message}"):
         [element["c"]["a"] for element in read_xml(file, "r", ("b",)) if element.tag == "b"]
