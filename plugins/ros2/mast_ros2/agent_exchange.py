@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection
 from typing import Any, Literal
 
 import numpy as np
 
 from mast_ros2 import type_store
-from mast_ros2.frame_exchange import TF, About, AnswerTopic, FrameExchange, Timing, check_names
+from mast_ros2.frame_exchange import TF, About, AnswerTopic, FrameExchange, Timing
 from mast_ros2.frame_transforms import FrameTransforms, Placement, composed
 from mast_ros2.names import ros2_name, topic_prefix
 from mast_ros2.object_messages import detection_array, states_of
-from mast_ros2.pose_messages import clock, odometry, transform_message
+from mast_ros2.pose_messages import odometry, transform_message
 from mast_ros2.received_objects import MOST_SPEED, TOO_FAST, ReceivedObjects, received_detections, received_tracks
-from mast_ros2.received_poses import ReceivedPose, received_pose, stamped_poses
+from mast_ros2.received_poses import POSES, ReceivedPose, received_pose, stamped_poses
 from mast_ros2.spatial import Transform
 from mast_ros2.type_store import RosMessage
 from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_world
@@ -31,19 +31,10 @@ _VELOCITY_AGE_S = 1.0
 
 Objects = Literal["tracks", "detections"]
 
-#: Types of messages that can be tracks, and that can be detections, by the names in scenarios.
-TRACK_TYPES: Mapping[str, str] = {
-    "TrackedObjects": type_store.TRACKED_OBJECTS,
-    "Detection3DArray": type_store.DETECTIONS,
-}
-DETECTION_TYPES: Mapping[str, str] = {
-    "Detection3DArray": type_store.DETECTIONS,
-    "DetectedObjects": type_store.DETECTED_OBJECTS,
-}
-POSE_TYPES: Mapping[str, str] = {
-    "Odometry": type_store.ODOMETRY,
-    **{name: f"geometry_msgs/msg/{name}" for name in ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped")},
-}
+#: Types of messages that can be tracks, detections, and a pose.
+TRACK_TYPES = type_store.TRACKED_OBJECTS, type_store.DETECTIONS
+DETECTION_TYPES = type_store.DETECTIONS, type_store.DETECTED_OBJECTS
+POSE_TYPES = tuple(kind for kind in POSES if kind != type_store.TF_MESSAGE)
 
 
 class AgentExchange(FrameExchange):
@@ -70,9 +61,8 @@ class AgentExchange(FrameExchange):
         world: str,
         clock_topic: str,
     ) -> None:
-        check_names(world, clock_topic)
         prefix = topic_prefix(name)
-        self.agent_frame, self.world, self.clock_topic = ros2_name(name), world, clock_topic
+        self.agent_frame, self.world = ros2_name(name), world
         self.odometry_topic, self.detections_topic = f"{prefix}/odometry", f"{prefix}/detections"
         self.objects_topic, self.pose_topic = f"{prefix}/received_{objects}", f"{prefix}/received_pose"
         self._velocities = Velocities()
@@ -87,15 +77,13 @@ class AgentExchange(FrameExchange):
         self.questions = [topic.name for topic in answers]
         # An agent that is placed from outside has no frame of which the run says where it is.
         transforms = FrameTransforms(world, () if pose_type else (self.agent_frame,))
-        super().__init__(answers, transforms, timing)
+        super().__init__(answers, transforms, timing, clock_topic=clock_topic)
 
     def join(self, outside: Outside) -> bool:
         """Make the topics known, and wait for a node that answers; False if there is none."""
         outside.announce(self.odometry_topic, type_store.ODOMETRY)
         outside.announce(self.detections_topic, type_store.DETECTIONS)
         outside.announce(TF, type_store.TF_MESSAGE)
-        if self.clock_topic:
-            outside.announce(self.clock_topic, type_store.CLOCK)
         return self.start(outside, [self.detections_topic, self.odometry_topic])
 
     def send(self, outside: Outside, frame: int, time_ns: int, pose: Body | None, detections: Detections) -> None:
@@ -103,10 +91,7 @@ class AgentExchange(FrameExchange):
 
         pose: columns of a `pose` message, None: unknown;  detections: in the world
         """
-        self.begin(frame, time_ns)
-        self.ask(outside, frame, self.questions)
-        if self.clock_topic:
-            outside.send(self.clock_topic, clock(time_ns))
+        self.open_frame(outside, frame, time_ns, self.questions)
         if pose is not None:
             outside.send(self.odometry_topic, odometry(pose, time_ns, self.world, self.agent_frame))
             placed = Transform(self.world, self.agent_frame, time_ns, pose["position"], pose["rotation"])
@@ -179,7 +164,9 @@ def _received_place(message: RosMessage) -> ReceivedPose:
     return ReceivedPose(transform.parent, transform.child, transform.time_ns, columns)
 
 
-def _of(parameter: str, name: str, types: Mapping[str, str]) -> str:
-    if name not in types:
-        raise ValueError(f"{parameter}: found {name!r}, expected one of {', '.join(types)}")
-    return types[name]
+def _of(parameter: str, name: str, types: Collection[str]) -> str:
+    """The type of a name in scenarios, which is the last part of it."""
+    named = {kind.rpartition("/")[2]: kind for kind in types}
+    if name not in named:
+        raise ValueError(f"{parameter}: found {name!r}, expected one of {', '.join(named)}")
+    return named[name]

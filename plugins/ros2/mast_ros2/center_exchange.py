@@ -7,11 +7,10 @@ from collections.abc import Collection, Mapping
 import numpy as np
 
 from mast_ros2 import type_store
-from mast_ros2.frame_exchange import About, AnswerTopic, FrameExchange, Timing, check_names
+from mast_ros2.frame_exchange import About, AnswerTopic, FrameExchange, Timing
 from mast_ros2.frame_transforms import FrameTransforms, Placement
 from mast_ros2.names import ros2_name, topic_prefix
 from mast_ros2.object_messages import tracked_objects
-from mast_ros2.pose_messages import clock
 from mast_ros2.received_objects import ReceivedObjects, received_tracks
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import Ints, ObjectStates
@@ -35,12 +34,11 @@ class CenterExchange(FrameExchange):
     """
 
     def __init__(self, name: str, timing: Timing, *, world: str, clock_topic: str) -> None:
-        check_names(world, clock_topic)
-        self._prefix, self._world, self._clock_topic = topic_prefix(name), world, clock_topic
+        self._prefix, self._world = topic_prefix(name), world
         self.picture_topic = f"{self._prefix}/received_picture"
         self._agents: dict[str, str] = {}  # topics by agent
         answer = AnswerTopic(self.picture_topic, type_store.TRACKED_OBJECTS, received_tracks, self._use)
-        super().__init__([answer], FrameTransforms(world), timing)
+        super().__init__([answer], FrameTransforms(world), timing, clock_topic=clock_topic)
 
     def join(self, outside: Outside, agents: Collection[str]) -> bool:
         """Make the topics known, and wait for a node that answers; False if there is none.
@@ -49,18 +47,13 @@ class CenterExchange(FrameExchange):
         """
         if len(agents) > MOST_AGENTS:
             raise ConfigurationError(f"agents: found {len(agents)}, expected at most {MOST_AGENTS} with ROS 2")
-        if self._clock_topic:
-            outside.announce(self._clock_topic, type_store.CLOCK)
         for agent in sorted(agents):
             self._add(outside, agent)
         return self.start(outside, list(self._agents.values()))
 
     def send(self, outside: Outside, frame: int, time_ns: int, tracks: Mapping[str, ObjectStates]) -> None:
         """Ask about a frame, and send the tracks of each agent, world frame; agents that are too many are counted."""
-        self.begin(frame, time_ns)
-        self.ask(outside, frame, [self.picture_topic])
-        if self._clock_topic:
-            outside.send(self._clock_topic, clock(time_ns))
+        self.open_frame(outside, frame, time_ns, [self.picture_topic])
         for agent in sorted(tracks.keys() - self._agents.keys()):
             self._add(outside, agent)
         for agent, topic in sorted(self._agents.items()):

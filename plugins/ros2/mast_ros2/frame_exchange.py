@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 from mast_ros2 import type_store
 from mast_ros2.frame_transforms import FrameTransforms, Placement
 from mast_ros2.names import check_topic
+from mast_ros2.pose_messages import clock
 from mast_ros2.received_poses import received_transforms
 from mast_ros2.type_store import RosMessage
 from mast_zenoh.errors import MessageError
@@ -98,7 +99,7 @@ class Timing:
                 raise ValueError(f"{name}: found {getattr(self, name)}, expected 0 to {most:g}")
 
 
-def check_names(world: str, clock_topic: str) -> None:
+def _check_names(world: str, clock_topic: str) -> None:
     """Raise ValueError for a name of the world's frame, or of the topic of a clock, that ROS does not allow."""
     if not 0 < len(world) <= 255 or world.startswith("/"):
         raise ValueError(f"world: found {world!r:.80}, expected the name of a frame, such as 'map'")
@@ -114,7 +115,10 @@ class FrameExchange(OutsideTally):
 
     answers: topics on which they come
     transforms: of frames of reference;  listens_to_tf: whether /tf and /tf_static are received
+    clock_topic: of the clock that it sends; "": none
     topics: that it receives
+
+    Raises ValueError for names of the world's frame and of the clock's topic that ROS does not allow.
     """
 
     def __init__(
@@ -124,9 +128,11 @@ class FrameExchange(OutsideTally):
         timing: Timing,
         *,
         listens_to_tf: bool = True,
+        clock_topic: str = "",
     ) -> None:
         super().__init__(topic.name for topic in answers)
-        self.transforms = transforms
+        _check_names(transforms.world, clock_topic)
+        self.transforms, self.clock_topic = transforms, clock_topic
         self._timing = timing
         self._topics = {topic.name: topic for topic in answers}
         received = [OutsideTopic(topic.name, topic.type_name) for topic in answers]
@@ -140,6 +146,8 @@ class FrameExchange(OutsideTally):
     def start(self, outside: Outside, questions: Collection[str]) -> bool:
         """Wait for a node outside that answers; False if there is none. questions: topics that it may subscribe to"""
         topics = list(self._topics)
+        if self.clock_topic:
+            outside.announce(self.clock_topic, type_store.CLOCK)
         if not outside.wait(self._timing.start_s, lambda: all(map(outside.present, topics))):
             self.note_absent(outside, topics, 0)
             return False
@@ -163,6 +171,13 @@ class FrameExchange(OutsideTally):
         for topic in topics:
             self._open[frame, topic] = False
             self.counts["asked"] += 1
+
+    def open_frame(self, outside: Outside, frame: int, time_ns: int, topics: Collection[str]) -> None:
+        """Begin a frame and ask about it, with its clock."""
+        self.begin(frame, time_ns)
+        self.ask(outside, frame, topics)
+        if self.clock_topic:
+            outside.send(self.clock_topic, clock(time_ns))
 
     def collect(self, outside: Outside, frame: int) -> list[Answer]:
         """The answers that have arrived; in lock-step, those to the questions about a frame are waited for."""
