@@ -26,7 +26,7 @@ LAYERS: dict[str, str] = {
     "fusion": "fuses the tracks of many agents into one picture; pipelines/ of agents and of nodes that fuse",
     "node": "base class of nodes: ports and handlers",
     "scenes": "ground truth: making/ recordings of boxes and paths; generated/ junctions. Data sets: plugins/datasets",
-    "run_folder": "a run's files: bounded reading, safe writing, tables; recording/ of all messages",
+    "run_folder": "a run's files: bounded reading, safe writing, tables, findings; recording/ of all messages",
     "wiring": "key-expression maps, rewrites, and the key of every port",
     "integrity": "judges the agents' tracks: whom to trust, and what to withhold",
     "messages": "schemas, codec, memory layout, validation",

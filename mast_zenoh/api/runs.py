@@ -12,10 +12,10 @@ from mast_zenoh.run_folder import reading
 from mast_zenoh.runs.run import Run
 
 if TYPE_CHECKING:  # drawing libraries are slow to load
+    from mast_zenoh.run_folder.finding import Finding
     from mast_zenoh.show.export import Exported
     from mast_zenoh.show.figures.plots import Plots
     from mast_zenoh.show.film.look import Look
-    from mast_zenoh.show.findings.finding import Finding
 
 
 class OpenedRun(Run):

@@ -212,18 +212,20 @@ def _show(finished: EndedRun, *, report: bool, against: str | None) -> tuple[Run
     """Show a run's results; returns (why it was not compared, the reference run)."""
     from mast_zenoh.runs.run import Run
     from mast_zenoh.show import terminal
+    from mast_zenoh.show.findings import found_in
 
     scored = (finished.folder / "metrics.json").is_file()
     run = Run(finished.folder)
     reference, refusal = None, None
     if against is not None and scored:
         reference, refusal = _reference(run, against, interrupted=isinstance(finished.error, Interrupted))
+    found = found_in(run, reference) if scored or report else {}
     if scored:
-        terminal.show_loaded(out, run, reference)
+        terminal.show_loaded(out, run, reference, found)
     if report:
         from mast_zenoh.show import html  # drawing libraries are slow to load
 
-        out.plain(f"report: {html.write_page(run, reference=reference)}")
+        out.plain(f"report: {html.write_page(run, reference=reference, found=found)}")
     else:
         out.plain(f"run folder: {finished.folder}")
     show_notices(finished)

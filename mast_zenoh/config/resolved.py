@@ -17,6 +17,7 @@ from mast_zenoh.messages.limits import Timespan
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
 from mast_zenoh.run_folder import read_object
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.run_folder.recording.script import Script
 from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.v2x.reference_position import LocalPlane
@@ -70,7 +71,7 @@ class Resolved:
     modules: the user's Python files that define algorithms named in it; to be loaded before its nodes are built
     steps: actions on processes, by frame; timeline: attacks and faults as the report shows them; network: hosts
     messages: the message types that its nodes declare; the codec must know them (`user_types.use`) when nodes are built
-    idle: a sentence for each part of the scenario that matches nothing in this run, or begins after it
+    idle: the parts of the scenario that match nothing in this run, or begin after it; not of earlier versions
     leeway_ns: tolerance for the times of messages, see `Timespan`; None, as in earlier versions: unlimited
     plugins: by name, the classes of plugins that it uses, each with its distribution and version
     max_rows: limits on the rows of a message by type, see `row_limits`; none in earlier versions
@@ -92,7 +93,7 @@ class Resolved:
     network: dict[str, Any] = field(default_factory=dict)
     leeway_ns: int | None = None
     messages: tuple[Schema, ...] = ()
-    idle: tuple[str, ...] = ()
+    idle: tuple[Finding, ...] = ()
     max_rows: dict[str, int] = field(default_factory=dict)
     plugins: dict[str, str] = field(default_factory=dict)
     origin: tuple[float, float] = (0.0, 0.0)
@@ -129,7 +130,7 @@ class Resolved:
         names += ["scene", "modules", "timeline", "network", "max_rows", "origin"]
         steps = [step._asdict() for step in self.steps]
         declared = {"messages": [user_types.to_json(schema) for schema in self.messages]} if self.messages else {}
-        idle = {"idle": list(self.idle)} if self.idle else {}
+        idle = {"idle": [each.to_json() for each in self.idle]} if self.idle else {}
         return {
             **{name: getattr(self, name) for name in names},
             "modules": [str(module) for module in self.modules],
@@ -158,7 +159,7 @@ class Resolved:
         nodes = {name: NodeSpec(**spec) for name, spec in data["nodes"].items()}
         steps = tuple(ProcessStep(**step) for step in data["steps"])
         lists = {name: tuple(data[name]) for name in ("modules", "timeline")}
-        lists["idle"] = tuple(data.get("idle", ()))
+        lists["idle"] = tuple(Finding.from_json(each) for each in data.get("idle", ()) if isinstance(each, dict))
         used = {str(name): str(text) for name, text in dict(data.get("plugins", {})).items()}
         messages = tuple(user_types.from_json(schema) for schema in data.get("messages", ()))
         x, y = map(float, data.get("origin", (0.0, 0.0)))

@@ -24,6 +24,7 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.run_folder import subfolder
+from mast_zenoh.run_folder.finding import Finding, sentence
 from mast_zenoh.run_folder.recording import churn
 from mast_zenoh.run_folder.recording.reader import first_incomplete_frame, first_missing_frame, read
 from mast_zenoh.scenes.recording import TRUTH_COLUMNS, Recording, truth_states
@@ -126,7 +127,7 @@ def write(
         record["outside"] = outside
     found = [*notices.of_run(resolved, record, collations, measured, refused, results.left_out(handed_in))]
     if problem := write_driven_scene(folder, resolved):
-        found.append(notices.notice("scene", problem))
+        found.append(Finding("scene", cause=(problem,)))
     world, wiring = driver_of(resolved.nodes), Wiring.from_json(resolved.wiring)
     rejected = counts_of(record["nodes"].get(world, {}).get("rejected"))
     found += notices.of_commands(handed_in.get(world, {}).get("commands"), wiring, rejected)
@@ -138,7 +139,7 @@ def write(
         found += notices.of_brakes(metrics.get("driven"))
         found += notices.of_confidence(metrics, innovations)
     found += idle.idle_parts(resolved, played or 0, handed_in, folder, replayed="replay" in record)
-    record["notices"] = found
+    record["notices"] = [each.to_json() | {"text": sentence(each)} for each in found]
 
 
 def write_results(

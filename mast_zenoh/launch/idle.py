@@ -1,14 +1,14 @@
 """Parts of a scenario that took part in nothing, and why.
 
 They are measured: from the wiring, the effects on the wires, the scene and the recorded scores. What a node counts
-itself is given as a reason only, as its own words.
+itself is given as a reason only.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,11 @@ from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.errors import nearest
 from mast_zenoh.evaluation.estimate_wires import estimates_on
 from mast_zenoh.integrity import Integrity
-from mast_zenoh.launch.notices import Notice, notice
 from mast_zenoh.mesh.control.results import EVALUATOR
 from mast_zenoh.metrics import Metric
 from mast_zenoh.metrics.estimates import LOCAL
 from mast_zenoh.metrics.measures import label_of
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.scenario.timeline import DIRECTED, acts_at, attack_starts
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording
 from mast_zenoh.wiring.model import Wiring, agent_of, link_of
@@ -43,20 +43,20 @@ def idle_parts(
     folder: Path,
     *,
     replayed: bool = False,
-) -> Iterator[Notice]:
-    """A notice for each part of a run that took part in nothing.
+) -> list[Finding]:
+    """A finding for each part of a run that took part in nothing.
 
     frames: number of frames played;  handed_in: what each node returned from `finish`
     folder: of the run, with its tables;  replayed: then of its metrics alone, as all else was played
     """
     run = _EndedRun(resolved, frames, handed_in, folder)
-    sentences: list[str] = []
+    found: list[Finding] = []
     if frames and not replayed:
-        sentences += [*resolved.idle, *_adversaries(run), *_coordinators(run), *_defences(run)]
-        sentences += [*_vetoes(run), *_links(run), *_faults(run), *_estimates(run), *_sensors(run), *_agents(run)]
+        found += [*resolved.idle, *_adversaries(run), *_coordinators(run), *_defences(run)]
+        found += [*_vetoes(run), *_links(run), *_faults(run), *_estimates(run), *_sensors(run), *_agents(run)]
     if frames or replayed:
-        sentences += _metrics(run)
-    return (notice("idle", text) for text in dict.fromkeys(sentences))
+        found += _metrics(run)
+    return list(dict.fromkeys(found))
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class _EndedRun:
                 yield from table.parts(columns)
 
 
-def _adversaries(run: _EndedRun) -> Iterator[str]:
+def _adversaries(run: _EndedRun) -> Iterator[Finding]:
     """Adversaries on no wire, and those that changed no message."""
     starts = {name: start for (_, start), names in attack_starts(run.resolved.nodes).items() for name in names}
     for name, spec in run.of_role("adversary").items():
@@ -115,49 +115,52 @@ def _adversaries(run: _EndedRun) -> Iterator[str]:
         if not wires:
             published = [wire for wire in run.wiring.wires if wire.legs[0].publisher.node == name]
             if all(wire.message in _OWN_MESSAGES for wire in published):
-                yield f"{name} is on no wire: keyexpr.rewrites names no wire of its agent, as on_tracks.toml does"
+                yield Finding("idle", (name,), "no wire")
             continue
         measured = run.metrics.get("interposers", {}).get(name)
         if kind == _INERT_ATTACK or not isinstance(measured, Mapping):
             continue
-        where = f"{name} on {', '.join(wires)}"
+        where = ", ".join(wires)
         if not measured.get("messages"):
-            yield f"{where} received no message"
+            yield Finding("idle", (name,), "no message", where=where)
         elif not set(measured.get("effects", ())) - {"unsettled"}:
             reason = _why_unchanged(run, name, str(kind), starts.get(name))
-            yield f"{where} changed no message{f': {reason}' if reason else ''}"
+            yield replace(reason, who=(name,), what="no change", where=where)
 
 
-def _why_unchanged(run: _EndedRun, name: str, kind: str, start_s: float | None) -> str:
-    """Why an adversary changed nothing, as far as that is known."""
+def _why_unchanged(run: _EndedRun, name: str, kind: str, start_s: float | None) -> Finding:
+    """Why an adversary changed nothing, as far as that is known: `cause`, and when it begins, and the run ends."""
     begins = [] if start_s is None else [start_s]
     if kind == DIRECTED:
         directing = [other for other in run.of_role("coordinator") if run.leads([other], [name], "directive")]
         if not directing:
-            return "no coordinator directs it"
+            return Finding("idle", cause=("no coordinator",))
         plan = run.resolved.nodes[directing[0]].config.get("coordination")
         if isinstance(plan, Mapping) and isinstance(plan.get("start_s"), (int, float)):
             begins.append(float(plan["start_s"]))
     if begins and max(begins) > run.duration_s:
-        return f"its attack begins at {max(begins):g} s, after the last frame ({run.duration_s:.1f} s)"
+        return Finding("idle", value=max(begins), other=run.duration_s, unit="s", cause=("late",))
     counts = run.handed_in.get(name, {})
     chosen = [counts[name] for name in COUNTS if type(counts.get(name)) is int]
-    return "by its own count it found no target" if chosen and not any(chosen) else ""
+    return Finding("idle", cause=("no target",) if chosen and not any(chosen) else ())
 
 
-def _coordinators(run: _EndedRun) -> Iterator[str]:
+def _coordinators(run: _EndedRun) -> Iterator[Finding]:
     """Coordinators to which no adversary reports, or that direct none."""
     adversaries = run.of_role("adversary")
     for name in run.of_role("coordinator"):
+        why = ""
         if not adversaries:
-            yield f"{name} directs no adversary: the scenario has no adversaries"
+            why = "none"
         elif run.resolved.nodes[name].config.get("adversaries") in ([], ()):
-            yield f"{name} directs no adversary: its list `adversaries` is empty"
+            why = "empty list"
         elif not run.leads(adversaries, [name]) or not run.leads([name], adversaries):
-            yield f"{name} directs no adversary: no wire joins it to an adversary, as coordination.toml does"
+            why = "no wire"
+        if why:
+            yield Finding("idle", (name,), "no adversary", cause=(why,))
 
 
-def _defences(run: _EndedRun) -> Iterator[str]:
+def _defences(run: _EndedRun) -> Iterator[Finding]:
     """Integrity stages that no view reaches, or that never had two agents to compare."""
     for name, spec in run.of_role("command_center").items():
         pipeline = spec.config.get("pipeline")
@@ -170,32 +173,29 @@ def _defences(run: _EndedRun) -> Iterator[str]:
         if not any(
             wire.message == "views" and any(end.node == name for end in wire.subscribers) for wire in run.wiring.wires
         ):
-            yield (
-                f"the defence {kind} judges without views, and its trust is not measured: no wire leads views to "
-                f"{name}, as views.toml does in keyexpr.rewrites"
-            )
+            yield Finding("idle", (str(kind),), "no views", where=name)
         elif run.resolved.recording is not None and not _seen_by_two(run.resolved.recording, run.frames):
-            yield f"the defence {kind} had nothing to compare: no two agents saw the same object"
+            yield Finding("idle", (str(kind),), "one viewer")
 
 
-def _trusted_strangers(run: _EndedRun, stage: Any) -> Iterator[str]:
+def _trusted_strangers(run: _EndedRun, stage: Any) -> Iterator[Finding]:
     """Agents that an integrity stage, or the one in it, compares all others with, and that do not exist."""
     if not isinstance(stage, Mapping):
         return
     kind, agents = str(stage.get("type")), run.of_role("agent")
     ego = stage.get("ego", getattr(registry.known_types(Integrity).get(kind), "ego", None))
     if isinstance(ego, str) and ego not in agents:
-        yield f"the defence {kind} checked nothing: it trusts {ego!r}, which is no agent{nearest(ego, agents)}"
+        yield Finding("idle", (kind,), "stranger", where=ego, cause=(nearest(ego, agents),))
     yield from _trusted_strangers(run, stage.get("stage"))
 
 
-def _vetoes(run: _EndedRun) -> Iterator[str]:
+def _vetoes(run: _EndedRun) -> Iterator[Finding]:
     """Drivers whose own sensors can refute nothing."""
     recording = run.resolved.recording
     if recording is not None and not len(recording.buildings):
         for name, spec in run.of_role("driver").items():
             if spec.config.get("veto"):
-                yield f"the veto of {name} refuted nothing: in a scene without buildings nobody knows what is free"
+                yield Finding("idle", (name,), "no buildings")
 
 
 def _seen_by_two(recording: Recording, frames: int) -> bool:
@@ -204,15 +204,15 @@ def _seen_by_two(recording: Recording, frames: int) -> bool:
     return bool(((recording.points[:rows] >= SEEN_RETURNS).sum(axis=1) >= 2).any())
 
 
-def _links(run: _EndedRun) -> Iterator[str]:
+def _links(run: _EndedRun) -> Iterator[Finding]:
     """Links that received no message. One that changed none is a good link."""
     for name in run.of_role("link"):
         measured = run.metrics.get("interposers", {}).get(name)
         if isinstance(measured, Mapping) and not measured.get("messages"):
-            yield f"{name} received no message"
+            yield Finding("idle", (name,), "no message")
 
 
-def _faults(run: _EndedRun) -> Iterator[str]:
+def _faults(run: _EndedRun) -> Iterator[Finding]:
     """Faults on links that changed no message in their time.
 
     In lock-step alone: in real time, delays of less than a frame are not measured as effects.
@@ -231,20 +231,19 @@ def _faults(run: _EndedRun) -> Iterator[str]:
         nodes = {link_of(place) for place in band["nodes"]} & run.of_role("link").keys()
         times_s = [frame * run.resolved.period_ns * 1e-9 for node in nodes for frame in frames.get(node, ())]
         if nodes and not acts_at(band, np.array(times_s)).any():
-            end = "" if band["until_s"] is None else f" to {band['until_s']:g}"
-            yield f"fault {band['label']} changed no message from {band['at_s']:g}{end} s"
+            yield Finding("idle", (band["label"],), "fault", band["at_s"], band["until_s"], "s")
 
 
-def _estimates(run: _EndedRun) -> Iterator[str]:
+def _estimates(run: _EndedRun) -> Iterator[Finding]:
     """Estimates on wires that are no agent's, and are not scored."""
     scored = {each.wire.key for each in estimates_on(run.wiring, run.of_role("agent"))}
     for wire in run.wiring.wires:
         name, subject = wire.traits.estimate, agent_of(wire.subject)
         if name and wire.key not in scored and subject not in run.of_role("center"):
-            yield f"the estimate {name!r} on {wire.key} is not scored: {subject} is no agent"
+            yield Finding("idle", (subject,), "not scored", where=name, cause=(wire.key,))
 
 
-def _sensors(run: _EndedRun) -> Iterator[str]:
+def _sensors(run: _EndedRun) -> Iterator[Finding]:
     """Sensors whose detections are empty in all frames."""
     recording = run.resolved.recording
     if recording is None:
@@ -256,10 +255,10 @@ def _sensors(run: _EndedRun) -> Iterator[str]:
     for name, count in zip(names, counts, strict=True):
         agent = name.partition("/")[0]
         if not count and agent in run.resolved.nodes:
-            yield f"the sensor {agent if agent in lone else name} detected nothing"
+            yield Finding("idle", (agent if agent in lone else name,), "no detections")
 
 
-def _agents(run: _EndedRun) -> Iterator[str]:
+def _agents(run: _EndedRun) -> Iterator[Finding]:
     """Agents without a track of their own, in runs that last long enough for tracks to begin."""
     if run.metrics.get("settled") is not True:
         return
@@ -269,10 +268,10 @@ def _agents(run: _EndedRun) -> Iterator[str]:
         for agent in dict.fromkeys(rows["agent"][own].tolist()):
             of_agent = own & (rows["agent"].astype(str) == agent)
             tracked[agent] = tracked.get(agent, False) or bool((rows["tp"][of_agent] + rows["fp"][of_agent]).any())
-    yield from (f"{agent} had no track within the range of the metrics" for agent, any_ in tracked.items() if not any_)
+    yield from (Finding("idle", (agent,), "no tracks") for agent, any_ in tracked.items() if not any_)
 
 
-def _metrics(run: _EndedRun) -> Iterator[str]:
+def _metrics(run: _EndedRun) -> Iterator[Finding]:
     """The user's metrics that have no value in some estimates."""
     config = run.resolved.nodes[EVALUATOR].config.get("metrics", ()) if EVALUATOR in run.resolved.nodes else ()
     types = registry.known_types(Metric)
@@ -283,5 +282,4 @@ def _metrics(run: _EndedRun) -> Iterator[str]:
         values = [each[label] for agent in summaries.values() for each in agent.values() if label in each]
         known = [(value.get("mean") if isinstance(value, Mapping) else value) is not None for value in values]
         if not all(known):
-            missing = f"{known.count(False)} of {len(known)} estimates" if any(known) else "any estimate"
-            yield f"the metric {label} has no value for {missing}"
+            yield Finding("idle", (str(label),), "no value", known.count(False), len(known), "estimates")

@@ -27,6 +27,7 @@ from mast_zenoh.mesh.control.tables import TablePart
 from mast_zenoh.mesh.host import Host
 from mast_zenoh.messages import user_types
 from mast_zenoh.run_folder import read_json, read_object
+from mast_zenoh.run_folder.finding import sentence
 from mast_zenoh.run_folder.recording import reader
 from mast_zenoh.run_folder.recording.format import JOINED, LEFT, MALFORMED, REWIRED, RecordedEvent
 from mast_zenoh.run_folder.recording.reader import Recorded, events, file_of, read
@@ -210,7 +211,7 @@ def measure(folder: Path, allowed: AllowedCode = SHIPPED) -> list[str]:
     ]
     return [
         *conclusion.write_results(folder, {EVALUATOR: results}, kept, tables),
-        *notices.of_recording(record),
+        *map(sentence, notices.of_recording(record)),
         *others,
     ]
 

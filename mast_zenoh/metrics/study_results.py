@@ -249,9 +249,9 @@ def _renamed(each: _Named, titles: Mapping[str, str]) -> _Named:
     return replace(each, configuration=titles.get(each.configuration, each.configuration))
 
 
-def plural(count: int, noun: str) -> str:
+def plural(count: float, noun: str) -> str:
     """`1 seed`, `20 seeds`."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
+    return f"{count:.0f} {noun}{'' if count == 1 else 's'}"
 
 
 def size_of(seeds: int, scenes: int) -> str:

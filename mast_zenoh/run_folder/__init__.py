@@ -6,6 +6,7 @@ write elsewhere. What is in a run folder is read and written through this packag
 files       JSON and plain files: read within bounds, and written whole, never through a link;  shapes  types in JSON
 creation    a new folder or file: room for it, and what it is made with
 tables      columns by name, as Parquet files;  unpacking  reads tables up to a limit on their unpacked size
+finding     what is worth saying about a run, as data, and the sentences for it, from phrases.j2
 recording/  messages.mcap: the bytes that were sent, by key
 """
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from mast_zenoh.run_folder import finding
 from mast_zenoh.wiring import model
 from mast_zenoh.wiring.plain_shapes import ANY, NAMED, NUMBER, Name, check_shape
 
@@ -34,7 +35,7 @@ SHAPES: dict[str, Any] = {
         "steps": [{}],
         "recording": {"complete": bool, "from_frame": int},
         "recorded": {"messages": int, "malformed": int, "lost": int, "problem": str, "disk_full": bool},
-        "notices": [{"kind": str, "text": str}],
+        "notices": [finding.SHAPE | {"text": str}],
         "innovations": {ANY: {}},
         "replay": _REPLAY,
         "deployment": {"engine": str, "label": str, "stack": str, "hosts": {ANY: _HOST}},

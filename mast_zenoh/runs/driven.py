@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from mast_zenoh.driving.braking import BRAKING_MPS2
 from mast_zenoh.launch.twin import FOLDER, NAME
+from mast_zenoh.run_folder.finding import Finding, sentence
 from mast_zenoh.runs.events import Happening
 from mast_zenoh.runs.files import RunFiles, Table, rows
 from mast_zenoh.runs.run import Run
@@ -99,23 +101,37 @@ def reason_of(brake: Mapping[str, Any]) -> str:
     return "for the road ahead or another reason"
 
 
-def braking_events(run: Run, times: np.ndarray, *, reasons: bool = True) -> list[Happening]:
-    """Brakes and collisions of driven cars. times: (f,) s, of the frames; reasons: say why they braked"""
+def happened_to(run: Run, car: str) -> list[Finding]:
+    """Collisions of a car, and its brakes with their reason and, if one is to blame, the adversary."""
+    found = []
+    for hit in _entries(run, car, "collisions"):
+        if isinstance(hit, Mapping) and type(hit.get("frame")) is int:
+            what, when = "hidden" if hit.get("hidden") else "", (hit["frame"] * run.period_s,) * 2
+            where, speed_mps = str(hit.get("object")), hit.get("speed_mps")
+            found.append(Finding("collision", (car,), what, speed_mps, None, "m/s", where, when))
+    for brake in brakes_of(run, car):
+        needless, by = bool(brake.get("needless")), brake["cause"]["adversary"]
+        known = brake.get("on_truth_mps2") if needless and brake["cause"]["kind"] == "real" else None
+        what, when = "needless" if needless else "", (brake["from_s"], brake["until_s"])
+        cause = (reason_of(brake), *([str(by)] if by else []))
+        found.append(Finding("brake", (car,), what, brake["hardest_mps2"], known, "m/s²", when=when, cause=cause))
+    return found
+
+
+def braking_events(run: Run, times: np.ndarray, *, brief: bool = False) -> list[Happening]:
+    """Brakes and collisions of driven cars. times: (f,) s, of the frames; brief: without reasons"""
     events = []
     for car in cars_of(run):
         course = course_of(run, car)
         assert course is not None
-        for brake in brakes_of(run, car):
-            frame = int(np.searchsorted(times, brake["from_s"] - 1e-6))
-            how = "brakes needlessly" if brake.get("needless") else "brakes"
-            text = f"{car} {how} with {brake['hardest_mps2']:.1f} m/s²"
-            text += f" {reason_of(brake)}" if reasons else ""
-            events.append(Happening(frame, "brake", text, *_place(course, frame)))
-        for hit in _entries(run, car, "collisions"):
-            first = hit.get("frame") if isinstance(hit, Mapping) else None
-            if type(first) is int and 0 <= first < len(times):
-                text = f"{car} hits object {hit.get('object')}"
-                events.append(Happening(first, "collision", text, *_place(course, first)))
+        for each in happened_to(run, car):
+            assert each.when is not None
+            frame = round(each.when[0] / run.period_s)
+            if each.kind == "brake":
+                frame = int(np.searchsorted(times, each.when[0] - 1e-6))
+            told = replace(each, when=None, other=None, cause=() if brief else each.cause)
+            if frame < len(times) or each.kind == "brake":
+                events.append(Happening(frame, each.kind, sentence(told), *_place(course, frame)))
     return events
 
 

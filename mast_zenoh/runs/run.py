@@ -23,6 +23,7 @@ from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE, PICTURE_RECEIVED, RECEIVED
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.run_folder import json_or_empty, read_json, read_object
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.run_folder.tables import from_arrow, read_arrow
 from mast_zenoh.runs import messages as decoded
 from mast_zenoh.runs import routes
@@ -249,6 +250,11 @@ class Run:
     def metrics_damaged(self) -> bool:
         """Whether metrics.json is there, but cannot be read."""
         return not self.files.summary and self.files.is_damaged("metrics.json")
+
+    @cached_property
+    def notices(self) -> list[Finding]:
+        """What its launcher noted at its end: losses, refusals, and parts that took part in nothing."""
+        return [Finding.from_json(each) for each in self.files.record.get("notices", ())]
 
     @property
     def range_m(self) -> float:

@@ -12,6 +12,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.fusion.regions import ServedArea
 from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.node import Node
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.scenario.nodes import takes
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.v2x import CpmGeneration, EveryFrame
@@ -112,8 +113,8 @@ def _check_ages(place: str, spec: NodeSpec, station: Station, period_ns: int) ->
                 )
 
 
-def uncovered(nodes: Mapping[str, tuple[NodeSpec, Node]], recording: Recording, frames: int) -> Iterator[str]:
-    """Yield a sentence if some true objects are in the region of no centre. frames: that are played"""
+def uncovered(nodes: Mapping[str, tuple[NodeSpec, Node]], recording: Recording, frames: int) -> Iterator[Finding]:
+    """Yield a finding if some true objects are in the region of no centre. frames: that are played"""
     centers = [node for spec, node in nodes.values() if spec.role == "center"]
     areas = [(getattr(node, "region", None), getattr(node, "overlap_m", 0.0)) for node in centers]
     fixed = [(region, margin_m) for region, margin_m in areas if isinstance(region, ServedArea) and not region.follows]
@@ -123,7 +124,5 @@ def uncovered(nodes: Mapping[str, tuple[NodeSpec, Node]], recording: Recording, 
     outside = ~np.any([region.contains(position, margin_m) for region, margin_m in fixed], axis=0)
     if outside.any():
         (x, y), share = position[outside][0, :2], outside.mean()
-        yield (
-            f"centers: {100.0 * share:.2g} % of the true objects are in no region, the first at "
-            f"x {x:.1f}, y {y:.1f} m: no picture has them there"
-        )
+        first = f"x {x:.1f}, y {y:.1f} m"
+        yield Finding("idle", ("centers",), "uncovered", float(100.0 * share), unit="%", where=first)

@@ -20,6 +20,7 @@ from mast_zenoh.errors import ConfigurationError, WiringError, nearest
 from mast_zenoh.faults import Fault, FaultPlan, network, plan
 from mast_zenoh.faults.base import DIRECTIONS, SENSOR, Rule
 from mast_zenoh.faults.plan import Carriers, band
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.scenario.nodes import node_spec
 from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.recording import Recording
@@ -57,7 +58,7 @@ class Timeline:
     plan: the plan of the faults;  bands: entries of Resolved.timeline
     network: hosts and their faults, see faults/network.py
     faults: by agent, its faults: type, beginning and end in s (None: the end of the run)
-    idle: a sentence for each adversary, link and fault that names or matches nothing, or begins after the last frame
+    idle: each adversary, link and fault that names or matches nothing, or begins after the last frame
     """
 
     links: dict[str, NodeSpec]
@@ -66,7 +67,7 @@ class Timeline:
     bands: tuple[dict[str, Any], ...]
     network: dict[str, Any]
     faults: dict[str, list[tuple[str, float, float | None]]]
-    idle: tuple[str, ...]
+    idle: tuple[Finding, ...]
 
 
 def timeline_of(
@@ -157,21 +158,20 @@ def timeline_of(
                 faults.setdefault(name, []).append((each["type"], each["at_s"], each["until_s"]))
     visible = sorted((each for each in bands if each["at_s"] <= end_s), key=lambda each: float(each["at_s"]))
     idle += [_begins_late(f"fault {each['label']}", each["at_s"], end_s) for each in of_hosts if each["at_s"] > end_s]
+    nowhere = [(f"{_short(at)} ({type(fault).__name__})", "node") for at, fault in node_faults if not fault.selectors]
+    nowhere += [(f"{_short(at)} ({fault['type']})", "host") for at, fault in host_faults if not fault["hosts"]]
+    nowhere += [(name, "agent") for name in scenario.get("adversaries", {}) if name not in nodes]
+    idle += [Finding("idle", (part,), "names nothing", unit=unit) for part, unit in nowhere]
     idle += [
-        f"{_short(place)} ({type(fault).__name__}) names no node" for place, fault in node_faults if not fault.selectors
-    ]
-    idle += [f"{_short(place)} ({fault['type']}) names no host" for place, fault in host_faults if not fault["hosts"]]
-    idle += [f"{name} names no agent" for name in scenario.get("adversaries", {}) if name not in nodes]
-    idle += [
-        f"links[{pattern!r}] match no agent"
+        Finding("idle", (pattern,), "links")
         for pattern in scenario.get("links", {})
         if not any(best_pattern(scenario["links"], agent) == pattern for agent in roles if roles[agent] == "agent")
     ]
     return Timeline(specs, tuple(on_wires), fault_plan, tuple(visible), hosts, faults, tuple(idle))
 
 
-def _begins_late(part: str, at_s: float, end_s: float) -> str:
-    return f"{part} begins at {at_s:g} s, after the last frame ({end_s:.1f} s)"
+def _begins_late(part: str, at_s: float, end_s: float) -> Finding:
+    return Finding("idle", (part,), "late", at_s, end_s, "s")
 
 
 def _short(place: str) -> str:

@@ -16,7 +16,7 @@ from mast_zenoh.show.comparison import Reference
 from mast_zenoh.show.figures.plots import Plots, labelled
 from mast_zenoh.show.findings import outcome
 from mast_zenoh.show.findings.words import text
-from mast_zenoh.show.tables.scores import as_markdown, as_rich, score_table
+from mast_zenoh.show.tables.scores import OVER_ALONE, score_table
 
 
 class Comparison:
@@ -34,10 +34,7 @@ class Comparison:
         with reading(first.path):
             for label in others:
                 comparison.reference(self._folders[label], first.path)
-            metrics = {label: run.files.summary for label, run in self._folders.items()}
-            counts = {label: run.files.counts for label, run in self._folders.items()}
-            agent = first.ego or "ego"
-            self._scores = score_table(metrics, counts=counts, agent=agent, reference=self._reference)
+            self._scores = score_table(self._folders, self._reference)
 
     @property
     def table(self) -> pyarrow.Table:
@@ -46,18 +43,8 @@ class Comparison:
         The change is over the first run.
         Counts are objects per frame, lengths (`…_m`) are in m; id_switches are of the whole run.
         """
-        rows = [
-            {
-                "metric": row.measure.label,
-                "run": row.run,
-                "estimate": estimate,
-                "mean": cell.value.mean,
-                "std": cell.value.std,
-                "change": cell.change.mean,
-            }
-            for row in self._scores.rows
-            for estimate, cell in row.cells.items()
-        ]
+        scores = [each for each in self._scores.rows if each.estimate != OVER_ALONE]
+        rows = [{"metric": each.measure.label} | each._asdict() for each in scores]
         text, number = pyarrow.string(), pyarrow.float64()
         types = {"metric": text, "run": text, "estimate": text, "mean": number, "std": number, "change": number}
         return pyarrow.Table.from_pylist(rows, schema=pyarrow.schema(types))
@@ -76,10 +63,10 @@ class Comparison:
 
     def markdown(self) -> str:
         """The table as Markdown, with all metrics."""
-        return as_markdown(self._scores)
+        return f"{self._scores.text().markdown()}\n"
 
     def __str__(self) -> str:
-        return f"{as_text(as_rich(self._scores))}\n{self.headline}"
+        return f"{as_text(self._scores.as_rich())}\n{self.headline}"
 
     def __repr__(self) -> str:
         return f"<Comparison of {', '.join(self._folders)}; print it, or see .table, .headline, .plot>"

@@ -15,9 +15,9 @@ from urllib.parse import quote
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from mast_zenoh.metrics.estimates import column_name
 from mast_zenoh.metrics.study_results import StudyFacts, StudyRow, plural
 from mast_zenoh.run_folder import write_bytes
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.frame import has_boxes
 from mast_zenoh.runs.interposers import BAD, WITH_COLUMN, failure_lines, interposers, node_row
 from mast_zenoh.runs.run import Run
@@ -26,11 +26,10 @@ from mast_zenoh.show.comparison import Reference
 from mast_zenoh.show.figures import of_run as figures_of_run
 from mast_zenoh.show.figures.drawing import RenderedFigure
 from mast_zenoh.show.figures.view import PANELS, check_frame, choose_common_frame, choose_frame, frame_view, settled
-from mast_zenoh.show.findings import details, headline, of_compared
-from mast_zenoh.show.findings.adversaries import attacks, limits
+from mast_zenoh.show.findings import found_in, of_compared
+from mast_zenoh.show.findings.adversaries import attacks
 from mast_zenoh.show.findings.cars import of_cars
 from mast_zenoh.show.findings.changes import largest_change
-from mast_zenoh.show.findings.defence import of_pictures
 from mast_zenoh.show.findings.results import unsound
 from mast_zenoh.show.findings.words import defence_line, said, text
 from mast_zenoh.show.narrative import study as narrative
@@ -38,7 +37,7 @@ from mast_zenoh.show.page.block import run_block
 from mast_zenoh.show.page.page import ViewerParts, viewer_parts
 from mast_zenoh.show.run_figure import FigureContext
 from mast_zenoh.show.tables import of_run as tables_of_run
-from mast_zenoh.show.tables.scores import ScoreTable, Value, number, score_table, signed
+from mast_zenoh.show.tables.scores import score_table
 from mast_zenoh.show.tables.study import difference_title, sections, side_by_side
 from mast_zenoh.show.tables.text_table import TextTable
 from mast_zenoh.show.tables.wiring import wire_rows
@@ -172,9 +171,13 @@ def write_report(
 
 
 def write_page(
-    run: Run, frame: int | None = None, reference: Reference | None = None, figures: Sequence[Path] = ()
+    run: Run,
+    frame: int | None = None,
+    reference: Reference | None = None,
+    figures: Sequence[Path] = (),
+    found: Mapping[str, Sequence[Finding]] | None = None,
 ) -> Path:
-    """Write the report of a loaded run; see `write_report`."""
+    """Write the report of a loaded run, see `write_report`; found: its findings, as from `found_in`, if known."""
     estimate = _estimate(run, reference)
     if frame is None:
         chosen = choose_frame(run, reference.run if reference else None, estimate)
@@ -184,7 +187,8 @@ def write_page(
         if not settled(run, np.array([frame])).all():
             frame_note = "This frame was requested; it is not a scored frame."
     view = None if chosen is None else frame_view(run, chosen, estimate)
-    return _write_run(FigureContext(run, view, frame_note, reference, estimate), figures)[1]
+    found = found_in(run, reference) if found is None else found
+    return _write_run(FigureContext(run, view, frame_note, reference, estimate), found, figures)[1]
 
 
 def _estimate(run: Run, reference: Reference | None) -> str:
@@ -213,11 +217,11 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], driven: tup
     chosen = choose_common_frame(list(folders.values()), folders[reference], estimate)
     frames = {label: choose_frame(run) if chosen is None else chosen for label, run in folders.items()}
     frame_views = {label: frame_view(folders[label], each) for label, each in frames.items() if each is not None}
-    table = _scores(folders, reference)
+    table = score_table(folders, reference)
     title, sentences = of_compared(folders, over)
     pages: list[dict[str, Any]] = []
     for label, run in folders.items():
-        page, path = _write_run(FigureContext(run, frame_views.get(label)), study=study_folder)
+        page, path = _write_run(FigureContext(run, frame_views.get(label)), found_in(run), study=study_folder)
         link = _relative(path, study_folder)
         pages.append({"label": label, "anchor": f"run-{len(pages) + 1}", "link": link} | page)
     views = {label: view for label, view in frame_views.items() if view is not None}
@@ -237,7 +241,7 @@ def write_study_report(study_folder: Path, runs: Mapping[str, Path], driven: tup
         "reading": sentences,
         "facts": facts_of_compared(folders),
         "figures": figures,
-        **_score_rows(table),
+        "scores": table,
         "nees": tables_of_run.nees_table(
             {label: run.files.summary for label, run in folders.items()},
             next((run.ego for run in folders.values() if run.ego), "ego"),
@@ -259,37 +263,32 @@ def _driven(folders: tuple[Path, Path] | None) -> tuple[list[str], dict[str, Ren
     return [f"{each}." for each in said(run, happened)], {} if drawn is None else {drawn.name: drawn}
 
 
-def _scores(runs: Mapping[str, Run], reference: str | None = None) -> ScoreTable:
-    ego = next((run.ego for run in runs.values() if run.ego), "ego")
-    metrics = {label: run.files.summary for label, run in runs.items()}
-    return score_table(
-        metrics, counts={name: run.files.counts for name, run in runs.items()}, agent=ego, reference=reference
-    )
-
-
 def _write_run(
-    context: FigureContext, files: Sequence[Path] = (), study: Path | None = None
+    context: FigureContext,
+    found: Mapping[str, Sequence[Finding]],
+    files: Sequence[Path] = (),
+    study: Path | None = None,
 ) -> tuple[dict[str, Any], Path]:
     """Write a run's own report; returns its content and path.
 
+    found: its findings
     study: the folder of the study that the report links back to
     """
     run, reference = context.run, context.reference
     figures, own = figures_of_run.run_figures(context), figures_of_run.user_figures(context, files)
     runs = {reference.name: reference.run, run.name: run} if reference is not None else {run.name: run}
-    scores = _scores(runs, reference.name if reference else None)
+    scores = score_table(runs, reference.name if reference else None)
     for each in figures.values():
         each.save(run.path / "figures")
     figures_of_run.save_user_figures(own, run.path / "figures")
     shown_runs = {run.name: run} | ({reference.name: reference.run} if reference is not None else {})
     viewer, problems = _viewer(shown_runs, context.view.index if context.view else None)
-    limited = limits(run, reference)
     beside = (reference.run, reference.name) if reference else ()
     content = {
         "title": f"Run {run.files.record.get('id', run.name)}",
-        "headline": headline(run, reference),
-        "attack": _first(said(run, attacks(run))),
-        "reading": text(run, details(run, reference)),
+        "headline": text(run, found["headline"]),
+        "attack": _first(said(run, found["attacks"])),
+        "reading": text(run, found["details"]),
         "facts": facts(run) + ([f"compared with {reference.name}"] if reference else []),
         "status": run.files.record.get("status", "unknown"),
         "message": run.files.record.get("message"),
@@ -301,26 +300,26 @@ def _write_run(
         "viewer": viewer,
         "figures": figures,
         "user_figures": own,
-        **(_score_rows(scores) if run.files.summary else {"rows": []}),
+        "scores": scores if run.files.summary else None,
         "messages": tables_of_run.message_table(run),
         "confidence": tables_of_run.confidence_tables(run),
         "pictures": tables_of_run.picture_table(run),
-        "of_pictures": text(run, of_pictures(run)),
+        "of_pictures": text(run, found["pictures"]),
         "interposers": interposers(run),
         "suspensions": tables_of_run.suspension_table(run),
         "undecided": tables_of_run.undecided_table(run),
         "conduct": tables_of_run.conduct_table(run),
-        "trust": defence_line(run),
-        "achieved": tables_of_run.achieved_table(run, limited),
-        "limited": [(each.who[0], *said(run, [each], capitals=False)) for each in limited],
+        "trust": defence_line(run, found["defence"]),
+        "achieved": tables_of_run.achieved_table(run, found["limits"]),
+        "limited": [(each.who[0], *said(run, [each], capitals=False)) for each in found["limits"]],
         "driven": tables_of_run.driven_table(run, *beside),
-        "cars": text(run, of_cars(run, reference)),
+        "cars": text(run, found["cars"]),
         "driving": tables_of_run.driving_table(run, *beside),
         "effects": WITH_COLUMN,
         "bad_verdicts": BAD,
         "results": run.files.results,
         "blame": tables_of_run.cause_table({run.name: run.files.summary}) if run.faulted or run.withholds else None,
-        "checks": tables_of_run.check_rows(run.files.checks),
+        "checks": tables_of_run.check_table(run.files.checks),
         "healed": healing(run),
         "latency": tables_of_run.latency_tables(run.files.summary),
         "wires": wire_rows(run),
@@ -331,7 +330,7 @@ def _write_run(
         "scenario": json.dumps(run.files.scenario, indent=2) if run.files.scenario else None,
         "timings": json.dumps(run.files.record["timings"], indent=2) if run.files.record.get("timings") else None,
     }
-    findings.write(run, reference)
+    findings.write(run, found)
     return content, render("run.html.j2", content, run.path, run.worded)
 
 
@@ -356,29 +355,6 @@ def _viewer(runs: Mapping[str, Run], frame: int | None) -> tuple[ViewerParts | N
     except ValueError as error:
         return None, (f"The viewer is left out: {error}.",)
     return viewer_parts(blocks) if blocks else None, ()
-
-
-def _score_rows(table: ScoreTable) -> dict[str, Any]:
-    """The scores for the page: columns, and rows of (text, spread, change)."""
-
-    def spread(value: Value) -> str | None:
-        return None if value.std is None else f"{value.std:.2f}"
-
-    rows = []
-    for row in table.rows:
-        cells = []
-        for name in table.estimates:
-            cell = row.cell(name)
-            change = None if cell.change.mean is None else signed(cell.change, row.measure)
-            cells.append((number(cell.value, row.measure), spread(cell.value), change))
-        over = signed(row.over_alone, row.measure), spread(row.over_alone), None
-        rows.append((row.measure.heading, row.run, [*cells, over]))
-    return {
-        "estimates": [column_name(name) for name in table.estimates],
-        "rows": rows,
-        "runs": len(table.runs),
-        "reference": table.reference,
-    }
 
 
 def _command(run: Run) -> str | None:

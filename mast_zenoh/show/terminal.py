@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
 
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show import comparison
 from mast_zenoh.show.comparison import Reference
-from mast_zenoh.show.findings import headline
-from mast_zenoh.show.findings.adversaries import attacks, limits
+from mast_zenoh.show.findings import found_in
 from mast_zenoh.show.findings.cars import of_cars
-from mast_zenoh.show.findings.defence import of_pictures, periods
 from mast_zenoh.show.findings.results import status, unsound
 from mast_zenoh.show.findings.words import defence_line, said, text
-from mast_zenoh.show.tables.of_run import causes_as_rich, check_lines, nees_as_rich, own_messages
-from mast_zenoh.show.tables.scores import as_rich, score_table
+from mast_zenoh.show.tables.of_run import cause_table, check_lines, nees_table, own_messages
+from mast_zenoh.show.tables.scores import score_table
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:
@@ -30,15 +29,16 @@ def show(console: Console, runs: Mapping[str, Path]) -> None:
     """
     folders = {label: Run(path) for label, path in runs.items()}
     agent = next((run.ego for run in folders.values() if run.ego), "ego")
-    console.print(as_rich(score_table({label: run.files.summary for label, run in folders.items()}, agent=agent)))
+    metrics = {label: run.files.summary for label, run in folders.items()}
+    console.print(score_table(folders).as_rich())
     _show_causes(console, folders, agent)
-    nees = nees_as_rich({label: run.files.summary for label, run in folders.items()}, agent) if len(runs) > 1 else None
-    if nees is not None:
-        console.print(nees)
+    if len(runs) > 1 and (nees := nees_table(metrics, agent)).lines:
+        console.print(nees.as_rich())
     for label, run in folders.items():
         prefix = f"{label}: " if len(runs) > 1 else ""
-        _show_lines(console, prefix, run)
-        if defence := defence_line(run):
+        found = found_in(run)
+        _show_lines(console, prefix, run, found)
+        if defence := defence_line(run, found["defence"]):
             console.print(escape(f"{prefix}{defence}."), highlight=False)
 
 
@@ -48,7 +48,8 @@ def show_run(console: Console, run_folder: Path, against: Path | None = None) ->
     Raises NotComparable if the two cannot be compared.
     """
     run = Run(run_folder)
-    show_loaded(console, run, None if against is None else comparison.reference(run, against))
+    reference = None if against is None else comparison.reference(run, against)
+    show_loaded(console, run, reference, found_in(run, reference))
 
 
 def show_driven(console: Console, run_folder: Path, twin: Path) -> None:
@@ -65,46 +66,44 @@ def failure(run_folder: Path) -> str:
     return f"{failed}: {message}" if failed and message else failed
 
 
-def show_loaded(console: Console, run: Run, reference: Reference | None = None) -> None:
-    """Print the results of a loaded run; see `show_run`."""
+def show_loaded(
+    console: Console, run: Run, reference: Reference | None, found: Mapping[str, Sequence[Finding]]
+) -> None:
+    """Print the results of a loaded run, see `show_run`; found: as from `found_in`."""
     runs = {run.name: run} if reference is None else {reference.name: reference.run, run.name: run}
-    metrics = {label: each.files.summary for label, each in runs.items()}
-    table = score_table(metrics, agent=run.ego or "ego", reference=reference.name if reference else None)
-    console.print(as_rich(table))
+    console.print(score_table(runs, reference.name if reference else None).as_rich())
     if (messages := own_messages(run)).lines:
         console.print(messages.as_rich())
     _show_causes(console, {run.name: run}, run.ego or "ego")
-    _show_lines(console, "", run, reference)
+    _show_lines(console, "", run, found)
     for warning in said(run, unsound(reference), capitals=False):
         line = f"warning: {warning} the differences may be wrong"
         console.print(line, markup=False, highlight=False, style="bold yellow")
-    console.print(escape(f"{headline(run, reference)}."), highlight=False, style="bold")
-    for line in (text(run, of_cars(run, reference)), defence_line(run)):
+    console.print(escape(f"{text(run, found['headline'])}."), highlight=False, style="bold")
+    for line in (text(run, found["cars"]), defence_line(run, found["defence"])):
         if line:
             console.print(escape(f"{line}."), highlight=False)
 
 
 def _show_causes(console: Console, runs: Mapping[str, Run], agent: str) -> None:
-    causes = causes_as_rich(
-        {label: run.files.summary for label, run in runs.items() if run.faulted or run.withholds}, agent
-    )
-    if causes is not None:
-        console.print(causes)
+    summaries = {label: run.files.summary for label, run in runs.items() if run.faulted or run.withholds}
+    if (causes := cause_table(summaries, agent)).lines:
+        console.print(causes.as_rich())
 
 
 #: Suspensions and undecided agents that have a line.
 _MOST_JUDGED = 8
 
 
-def _show_lines(console: Console, label: str, run: Run, reference: Reference | None = None) -> None:
+def _show_lines(console: Console, label: str, run: Run, found: Mapping[str, Sequence[Finding]]) -> None:
     """Print what interposers did, why it had limited effect, and every check."""
-    lines, limited = [], limits(run, reference)
-    for each in [each for each in attacks(run) if each.kind != "adversaries"]:
+    lines = []
+    for each in [each for each in found["attacks"] if each.kind != "adversaries"]:
         lines += said(run, [each], capitals=False)
-        why = [reason for reason in limited if each.kind == "attack" and each.value and reason.who == each.who]
+        why = [reason for reason in found["limits"] if each.kind == "attack" and each.value and reason.who == each.who]
         lines += [f"  limited effect: {reason}" for reason in said(run, why, capitals=False)]
-    judged = said(run, periods(run), capitals=False)
-    lines += [*said(run, of_pictures(run)), *judged[:_MOST_JUDGED]]
+    judged = said(run, found["periods"], capitals=False)
+    lines += [*said(run, found["pictures"]), *judged[:_MOST_JUDGED]]
     if len(judged) > _MOST_JUDGED:
         lines.append(f"  and {len(judged) - _MOST_JUDGED} agents more, see the report")
     for line in (*lines, *check_lines(run.files.checks)):

@@ -22,7 +22,6 @@ from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.mesh.control import results
-from mast_zenoh.runs.run import Run
 from mast_zenoh.show import html, terminal
 
 pytestmark = pytest.mark.heavy
@@ -104,7 +103,7 @@ def test_a_report_is_written_for_any_evaluator_results_and_explains_odd_ones(tmp
             folder = tmp_path / str(number)
             concluded("evaluator", payload, folder)
             with reporting(folder):
-                terminal.show_loaded(console, Run(folder), None)
+                terminal.show_run(console, folder)
                 html.write_report(folder)
             written += 1
             explained += "No scores: metrics.json is damaged" in (folder / "report.html").read_text()

@@ -13,11 +13,13 @@ from kept_texts import assert_kept
 from ros2_worlds import with_ros2
 from tiny_world import tiny
 
+import mast_zenoh as mast
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import StallError
 from mast_zenoh.launch import ending, notices, run
 from mast_zenoh.mesh.control import results
+from mast_zenoh.run_folder.finding import Finding, sentence
 from mast_zenoh.show.html import write_report
 from mast_zenoh.tracking import Innovations
 from mast_zenoh.wiring.model import Endpoint, Leg, Wire, Wiring
@@ -39,8 +41,8 @@ def commanded() -> tuple[Wiring, dict[str, int]]:
 COMMANDED = commanded()
 
 
-def texts(resolved: Resolved, nodes: dict[str, Any] | None = None, **more: Any) -> dict[str, str]:
-    """The notices of a synthetic run: kind to text."""
+def texts(resolved: Resolved, nodes: dict[str, Any] | None = None, **more: Any) -> list[str]:
+    """The notices of a synthetic run, each with its kind."""
     record = {
         "nodes": nodes or {},
         "invalid_control": more.get("invalid_control", {}),
@@ -48,9 +50,8 @@ def texts(resolved: Resolved, nodes: dict[str, Any] | None = None, **more: Any) 
     }
     measured = {"late": more.get("late", {})} | more.get("measured", {})
     collations, refused = more.get("collations", []), more.get("refused", [])
-    all_notices = [*notices.of_run(resolved, record, collations, measured, refused, more.get("left_out", {}))]
-    assert all(notice["count"] > 0 for notice in all_notices)
-    return {notice["kind"]: notice["text"] for notice in all_notices}
+    found = notices.of_run(resolved, record, collations, measured, refused, more.get("left_out", {}))
+    return [f"{each.kind}: {sentence(each)}" for each in found]
 
 
 def node(**counted: Any) -> dict[str, Any]:
@@ -97,7 +98,7 @@ def outside(handed_in: bool = True, **told: Any) -> str:
     (notice,) = notices.of_run(
         tiny(), {"nodes": {}, "invalid_control": {}, "outside": counts}, [], {"late": {}}, [], {}
     )
-    return str(notice["text"])
+    return sentence(notice)
 
 
 def test_the_words_of_notices(world: Resolved) -> None:
@@ -117,15 +118,15 @@ def test_the_words_of_notices(world: Resolved) -> None:
         "late behind a link": texts(linked, **pace(25.0, late={"ego": 3})),
         "late without a link": texts(realtime, **pace(25.0, late={"ego": 3})),
     }
-    said["programs outside"] = {
-        "none": outside(),
-        "interrupted": outside(interrupted=1),
-        "two publishers": outside(**several, publishers={"/a": 2, "/b": 1}),
-        "many publishers": outside(**several, publishers={"/a": 16}),
-        "lost": outside(handed_in=False),
-    }
-    said["confidence"] = {str(number): text for number, text in enumerate(lines_on_confidence())}
-    lines = [[name, *(f"  {kind}: {text}" for kind, text in of.items())] for name, of in said.items()]
+    said["programs outside"] = [
+        outside(),
+        outside(interrupted=1),
+        outside(**several, publishers={"/a": 2, "/b": 1}),
+        outside(**several, publishers={"/a": 16}),
+        outside(handed_in=False),
+    ]
+    said["confidence"] = [sentence(each) for each in found_of_confidence()]
+    lines = [[name, *(f"  {text}" for text in of)] for name, of in said.items()]
     assert_kept("notices", *itertools.chain(*lines))
 
 
@@ -137,40 +138,45 @@ UNJUDGED = {"ego": {"brakes": BRAKES, "on_truth_problem": "ValueError: no road"}
 
 
 @pytest.mark.parametrize(
-    ("notices_of", "counted", "kind", "count", "text", "invalid"),
+    ("notices_of", "counted", "expected", "words", "invalid"),
     [
         (
             lambda counts: notices.of_commands(counts, *COMMANDED),
             {"ego": COUNTS, "mobile_1": OBEDIENT},
-            *("commands", 5, "the car of ego had no new command in 5 frames: it went on in 3 and braked in 2; 5 co"),
+            Finding("commands", ("ego",), "", 5, 2, "frames", cause=("5 commands refused",)),
+            "the car of ego had no new command in 5 frames: it went on in 3 and braked in 2; 5 commands refused",
             [None, [], "ego", {"ego": None}, {"ego": {"held": -1, "braked": "many"}}],
         ),
         (
             lambda happened: notices.of_estimates(happened, 150),
             BLIND,
-            *("estimates", 12, "driver_ego drove 12 of 150 frames without an estimate"),
+            Finding("estimates", ("driver_ego",), "", 12, 150, "frames"),
+            "driver_ego drove 12 of 150 frames without an estimate that is new enough (estimate_age_s): it only braked",
             [None, [], {"ego": None}, {"ego": {"blind_frames": "many"}}],
         ),
         (
             notices.of_brakes,
             UNJUDGED,
-            *("brakes", 1, "1 brake of ego judged by the intelligent driver model, not by what its driver"),
+            Finding("brakes", ("ego",), value=1, unit="brakes", cause=("ValueError: no road",)),
+            "1 brake of ego judged by the intelligent driver model, not by what its driver does on the truth: "
+            "ValueError: no road",
             [None, [], {"ego": None}, {"ego": {"brakes": "many"}}, {"ego": {"brakes": [None]}}],
         ),
         (
             lambda metrics: notices.of_scores(metrics, 1000),
             {"frames": 936},
-            *("unmeasured", 64, "64 frames of 1000 were played and not measured: the evaluator missed them"),
+            Finding("unmeasured", value=64, other=1000, unit="frames"),
+            "64 frames of 1000 were played and not measured: the evaluator missed them",
             [{"frames": 1000}],
         ),
     ],
 )
 def test_a_notice_on_drivers_or_scores_counts_and_what_is_no_count_has_none(
-    notices_of: Any, counted: Any, kind: str, count: int, text: str, invalid: list[Any]
+    notices_of: Any, counted: Any, expected: Finding, words: str, invalid: list[Any]
 ) -> None:
-    (notice,) = notices_of(counted)
-    assert (notice["kind"], notice["count"]) == (kind, count)
-    assert notice["text"].startswith(text)
+    assert [*notices_of(counted)] == [expected]
+    assert sentence(expected) == words
+    assert Finding.from_json(json.loads(json.dumps(expected.to_json()))) == expected
     assert [[*notices_of(each)] for each in invalid] == [[]] * len(invalid)
 
 
@@ -186,26 +192,29 @@ def test_notices_are_in_run_json_and_in_the_report(tmp_path: Path) -> None:
     notices_by_kind = {
         notice["kind"]: notice for notice in json.loads((outcome.folder / "run.json").read_text())["notices"]
     }
-    assert "10 messages of" in notices_by_kind["late"]["text"]
+    assert (notices_by_kind["late"]["who"], notices_by_kind["late"]["value"]) == (["infra_1"], 10)
     measured = json.loads((outcome.folder / "metrics.json").read_text())
     assert measured["late"] == {"infra_1": 10}, "two of 12 are still in transit at the end"
     assert (outcome.folder / "checks.json").is_file()
-    assert notices_by_kind["rejected"]["text"].startswith(f"{notices_by_kind['rejected']['count']} messages on ")
+    assert notices_by_kind["rejected"]["text"].startswith(f"{notices_by_kind['rejected']['value']} messages on ")
     page = write_report(outcome.folder).read_text()
     assert "infra_1 came too" in page
     assert "messages on" in page
+    written = json.loads((outcome.folder / "findings.json").read_text())
+    assert notices_by_kind["late"].items() <= {each["kind"]: each for each in written}["late"].items()
+    assert [each.kind for each in mast.open(outcome.folder).findings] == [each["kind"] for each in written]
 
 
-@pytest.mark.parametrize(("frames", "expected"), [(1, "the only frame is"), (5, "all 5 frames are"), (40, "")])
-def test_a_run_too_short_to_leave_out_its_first_frames_has_a_notice(tmp_path: Path, frames: int, expected: str) -> None:
+@pytest.mark.parametrize(("frames", "expected"), [(1, [1]), (5, [5]), (40, [])])
+def test_a_run_too_short_to_leave_out_its_first_frames_has_a_notice(
+    tmp_path: Path, frames: int, expected: list[int]
+) -> None:
     file, content = scenario.load("baseline", ["n_infrastructure=1"])
     outcome = run.run(scenario.resolve(file, content, frames=frames), tmp_path / "run", runtime="inproc")
-    notices_by_kind = {notice["kind"]: notice["text"] for notice in outcome.record["notices"]}
     measured = json.loads((outcome.folder / "metrics.json").read_text())
     assert (measured["settled"], measured["late"]) == (not expected, {})
     assert not (outcome.folder / "checks.json").exists(), "nothing to check without faults"
-    assert ("unsettled" in notices_by_kind) == bool(expected)
-    assert expected in notices_by_kind.get("unsettled", "")
+    assert [each["value"] for each in outcome.record["notices"] if each["kind"] == "unsettled"] == expected
 
 
 def test_a_stall_error_names_the_refused_messages() -> None:
@@ -226,29 +235,25 @@ def compared(position: str | None, velocity: str | None, nees: float = 19.2) -> 
     return {"position": numbers | {"verdict": position}, "velocity": numbers | {"verdict": velocity}}
 
 
-def confidence_texts(consistency: object, **trackers: Innovations) -> list[str]:
+def confidence(consistency: object, **trackers: Innovations) -> list[Finding]:
     summaries = {name: each.summary() for name, each in trackers.items()}
-    found = [*notices.of_confidence({"consistency": consistency}, summaries)]
-    assert all((each["kind"], each["count"]) == ("confidence", 1) for each in found)
-    return [each["text"] for each in found]
+    return [*notices.of_confidence({"consistency": consistency}, summaries)]
 
 
-def lines_on_confidence() -> Iterator[str]:
-    """What is said of estimates and trackers, line by line."""
+def found_of_confidence() -> Iterator[Finding]:
+    """What is said of estimates and trackers."""
     for position, velocity, nees in ((SURE, FINE, 19.2), (FINE, SURE, 19.2), (SURE, SURE, 2e6)):
-        yield from confidence_texts({"infra_2": {"local": compared(position, velocity, nees)}})
+        yield from confidence({"infra_2": {"local": compared(position, velocity, nees)}})
     sure, fine = compared(SURE, FINE), compared(FINE, FINE)
-    yield from confidence_texts(
-        {"ego": {"received": sure, "picture": sure, "mission": sure}, "infra_1": {"local": sure}}
-    )
-    yield from confidence_texts({f"infra_{i}": {"local": sure} for i in range(50)})[-2:]
+    yield from confidence({"ego": {"received": sure, "picture": sure, "mission": sure}, "infra_1": {"local": sure}})
+    yield from confidence({f"infra_{i}": {"local": sure} for i in range(50)})[-2:]
     sharp, nothing = Innovations(700.0, 100, 50), compared(FINE, FINE)
     for summary in nothing.values():
         summary["pairs"] = 0
     accurate = {"local": fine, "picture": compared("overcautious", "overcautious")}
-    assert confidence_texts({"ego": accurate}, ego=sharp) == [], "trackers are judged only where nothing was compared"
-    yield from confidence_texts({"ego": {"local": nothing}}, ego=sharp, infra_1=Innovations(200.0, 100, 0))
-    yield from confidence_texts({}, infra_1=Innovations(silent=9), infra_2=Innovations(silent=40))
+    assert confidence({"ego": accurate}, ego=sharp) == [], "trackers are judged only where nothing was compared"
+    yield from confidence({"ego": {"local": nothing}}, ego=sharp, infra_1=Innovations(200.0, 100, 0))
+    yield from confidence({}, infra_1=Innovations(silent=9), infra_2=Innovations(silent=40))
 
 
 @pytest.mark.parametrize(
@@ -256,7 +261,7 @@ def lines_on_confidence() -> Iterator[str]:
     [None, 7, "text", [], {"ego": None}, {"ego": {"local": 3}}, {"ego": {"local": {"position": {"verdict": SURE}}}}],
 )
 def test_what_a_users_evaluator_returns_instead_has_no_line(returned: object) -> None:
-    assert confidence_texts(returned) == []
+    assert confidence(returned) == []
 
 
 def test_only_sound_summaries_of_nodes_with_a_tracker_are_taken(world: Resolved) -> None:

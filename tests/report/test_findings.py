@@ -13,20 +13,20 @@ from kept_texts import assert_kept
 from rich.console import Console
 from run_samples import edit
 
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.events import first_changes
 from mast_zenoh.runs.interposers import interposers
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show import terminal
 from mast_zenoh.show.comparison import Reference
-from mast_zenoh.show.findings import details, findings, headline, of_compared, outcome
+from mast_zenoh.show.findings import details, findings, found_in, headline, of_compared, outcome
 from mast_zenoh.show.findings.adversaries import attacks
 from mast_zenoh.show.findings.causes import reaches
 from mast_zenoh.show.findings.differences import other_differences
-from mast_zenoh.show.findings.finding import Finding
 from mast_zenoh.show.findings.results import during
 from mast_zenoh.show.findings.words import said, text
 from mast_zenoh.show.html import write_page
-from mast_zenoh.show.tables.scores import number, score_table, signed
+from mast_zenoh.show.tables.scores import score_table
 
 pytestmark = pytest.mark.usefixtures("without_figures")
 
@@ -188,20 +188,18 @@ def test_the_words_of_a_page_and_of_the_terminal(name: str, run_of: RunOf) -> No
         run.files.record["nodes"]["adversary_1"]["failures"] = [FAILURE]
     reference = Reference(run_of(), "baseline") if name == "compared" else None
     console = Console(file=io.StringIO(), width=1000)
-    terminal.show_loaded(console, run, reference)
+    terminal.show_loaded(console, run, reference, found_in(run, reference))
     page = [headline(run, reference), text(run, details(run, reference)), text(run, attacks(run))]
     assert_kept(f"run_{name}", *page, "", console.file.getvalue())
 
 
 def test_sentences_give_the_numbers_of_the_table(run_of: RunOf) -> None:
     runs = {"baseline": run_of(), "uncoordinated": run_of("uncoordinated")}
-    table = score_table({label: run.files.summary for label, run in runs.items()})
-    rows = {(row.measure.label, row.run): row for row in table.rows}
-    cells = rows["fn", "baseline"].cells
-    missed = [number(cells[name].value, rows["fn", "baseline"].measure) for name in ("picture", "local")]
+    table = score_table(runs)
+    missed = [table.score("fn", "baseline", name).number for name in ("picture", "local")]
     assert re.findall(r"\d+\.\d+", headline(runs["baseline"])) == missed
-    row = rows["fp", "uncoordinated"]
-    more = signed(row.cells["picture"].change, row.measure).removeprefix("+")
+    false = table.score("fp", "uncoordinated", "picture")
+    more = false.signed(false.change).removeprefix("+")
     reference = Reference(runs["baseline"], "baseline")
     assert f"{more} more false" in headline(runs["uncoordinated"], reference)
     assert f"{more} more false" in of_compared(runs, reference)[0]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.comparison import Reference
 from mast_zenoh.show.figures.over_time import driving_over_time
@@ -75,9 +76,9 @@ def idle(received: int = 40) -> dict[str, Any]:
     return {"metrics": {"interposers": lambda _: {"adversary_1": IDLE | {"messages": received}}}}
 
 
-def starting_at(start_s: float) -> dict[str, Any]:
-    attack = {"type": "UncoordinatedAttack", "start_s": start_s}
-    return {"scenario": {"nodes": {"adversary_1": {"config": {"attack": attack}}}}}
+def noted(cause: str) -> dict[str, Any]:
+    notice = Finding("idle", ("adversary_1",), "no change", 60.0, 4.0, "s", cause=(cause,)).to_json()
+    return {"run": {"notices": [notice | {"text": "as its launcher said it"}]}}
 
 
 def of_node(**changes: Any) -> dict[str, Any]:
@@ -89,8 +90,8 @@ def of_node(**changes: Any) -> dict[str, Any]:
     [
         (idle(), UNCHANGED),
         (idle(received=0), ("", "idle", 0)),
-        (idle() | starting_at(60.0), LATE),
-        (idle() | starting_at(3.5), UNCHANGED),
+        (idle() | noted("late"), LATE),
+        (idle() | noted("no target"), UNCHANGED),
         (
             idle() | of_node(failures=[{"handler": "detections", "count": 3}]),
             ("", "failed", "detections failed 3 times"),

@@ -22,7 +22,7 @@ from mast_zenoh.show import terminal
 from mast_zenoh.show.figures.over_time import causes_over_time, counts_over_time
 from mast_zenoh.show.figures.timeaxis import Band, bands, lanes, place_bands
 from mast_zenoh.show.html import write_report
-from mast_zenoh.show.tables.of_run import cause_table, check_lines, check_rows, latency_tables
+from mast_zenoh.show.tables.of_run import cause_table, check_lines, check_table, latency_tables
 from mast_zenoh.show.tables.text_table import DASH
 
 PARTITION = {"label": "Partition infra_1", "kind": "fault", "type": "Partition", "at_s": 0.5, "until_s": 1.5}
@@ -163,12 +163,8 @@ def test_a_name_is_inside_its_band_or_next_to_it(start: float, end: float, x: fl
 
 
 def test_failed_checks_come_first_and_skipped_ones_last() -> None:
-    assert [(row.name, row.outcome) for row in check_rows(CHECKS)] == [
-        ("collation", "failed"),
-        ("sequence numbers", "ok"),
-        ("processes", "not checked"),
-    ]
-    assert check_rows(CHECKS)[2].detail == "one process"
+    assert check_table(CHECKS).lines[2] == ("processes", "not checked", "one process")
+    assert check_table(CHECKS).bad == [True, False, False]
     assert check_lines(CHECKS) == [
         "check collation: failed (2 tracks <lost>)",
         "check sequence numbers: ok (no hole in 400 messages)",

@@ -94,7 +94,7 @@ def test_the_camera_sees_false_objects_ahead_in_the_picture_only(attacked: Frame
 
 def test_runs_side_by_side_have_a_panel_each(attacked: Frame, clean: Frame) -> None:
     views = {"baseline": clean, "uncoordinated": attacked}
-    table = score_table({label: view.run.files.summary for label, view in views.items()})
+    table = score_table({label: view.run for label, view in views.items()})
     image = image_of(png(side_by_side_figure(views, table)))
     width = image.shape[1]
     plots = image[60:700]
@@ -129,7 +129,7 @@ def test_arrows_are_in_the_legend_of_the_view_from_above_alone(attacked: Frame) 
 
 
 def test_four_or_more_runs_use_more_rows(clean: Frame) -> None:
-    table = score_table({"a": clean.run.files.summary})
+    table = score_table({"a": clean.run})
     three = side_by_side_figure(dict.fromkeys("abc", clean), table)
     seven = side_by_side_figure(dict.fromkeys("abcdefg", clean), table)
     assert seven.get_figheight() > 2.5 * three.get_figheight()

@@ -84,7 +84,8 @@ def test_agents_are_not_compromised_by_changes_on_the_way_to_one_listener(heard:
 
 
 def test_of_several_judges_the_sentence_names_the_one_that_it_is_about(heard: Run) -> None:
-    assert defence_line(heard).startswith("FaultOrLie of the")
+    line = defence_line(heard, of_defence(heard))
+    assert line.startswith("FaultOrLie of the")
 
 
 def test_slander_is_described_as_what_it_is(gossip: Run) -> None:

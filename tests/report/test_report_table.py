@@ -1,7 +1,9 @@
 """The table of scores: a row per metric and run, a column per estimate."""
 
 import io
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ from rich.console import Console
 from mast_zenoh.metrics.estimates import MAIN
 from mast_zenoh.metrics.measures import metric_named
 from mast_zenoh.run_folder.shapes import check_file
-from mast_zenoh.show.tables.scores import ScoreTable, as_markdown, as_rich, score_table
+from mast_zenoh.show.tables.scores import OVER_ALONE, ScoreTable, score_table
 from mast_zenoh.show.terminal import show
 
 Counts = tuple[float, float, float]
@@ -31,33 +33,41 @@ def metrics(picture: Counts, local: Counts = (7.0, 0.5, 6.0), **others: dict[str
 RUNS = {"baseline": metrics((1.2, 0.25, 12.0)), "uncoordinated": metrics((1.5, 9.65, 11.7))}
 
 
+def table_of(
+    metrics: dict[str, Any], reference: str | None = None, counts: Mapping[str, Any] = MappingProxyType({})
+) -> ScoreTable:
+    """The table of runs with these metrics and counts."""
+    runs: dict[str, Any] = {}
+    for label, summary in metrics.items():
+        files = SimpleNamespace(summary=summary, counts=counts.get(label))
+        runs[label] = SimpleNamespace(ego="ego", files=files, scored_frames=summary.get("scored_frames"))
+    return score_table(runs, reference)
+
+
 def change(table: ScoreTable, key: str, run: str = "uncoordinated", estimate: str = "picture") -> float | None:
-    return table.cell(key, run, estimate).change.mean
+    return table.score(key, run, estimate).change
 
 
 def printed(table: ScoreTable) -> str:
     page = io.StringIO()
-    Console(file=page, width=80).print(as_rich(table))
+    Console(file=page, width=80).print(table.as_rich())
     return page.getvalue()
 
 
 def test_every_estimate_has_its_change_over_the_reference_and_the_picture_over_the_ego_alone() -> None:
-    table = score_table(RUNS)
+    table = table_of(RUNS)
     assert change(table, "fp") == pytest.approx(9.4)
     assert change(table, "fn", estimate="mission") == pytest.approx(0.3)
     assert change(table, "fp", estimate="local") == 0.0
     assert change(table, "fp", run="baseline") is None
-    (row,) = (row for row in table.rows if (row.measure.label, row.run) == ("fp", "uncoordinated"))
-    assert row.over_alone.mean == pytest.approx(9.15)
+    assert table.score("fp", "uncoordinated", OVER_ALONE).mean == pytest.approx(9.15)
 
 
 def test_the_reference_is_the_requested_run_or_the_baseline_or_the_first_run() -> None:
-    assert score_table(dict(reversed(RUNS.items()))).reference == "baseline"
-    assert score_table({"x": RUNS["baseline"], "y": RUNS["baseline"]}).reference == "x"
-    assert score_table(RUNS, reference="uncoordinated").reference == "uncoordinated"
-    assert score_table({"only": RUNS["baseline"]}).reference is None
-    with pytest.raises(ValueError, match="baseline, uncoordinated"):
-        score_table(RUNS, reference="nosuch")
+    assert table_of(dict(reversed(RUNS.items()))).reference == "baseline"
+    assert table_of({"x": RUNS["baseline"], "y": RUNS["baseline"]}).reference == "x"
+    assert table_of(RUNS, reference="uncoordinated").reference == "uncoordinated"
+    assert table_of({"only": RUNS["baseline"]}).reference is None
 
 
 def counts(fp: list[int], first: int = 0) -> dict[str, Any]:
@@ -72,14 +82,12 @@ def counts(fp: list[int], first: int = 0) -> dict[str, Any]:
     }
 
 
-def test_counts_per_frame_give_the_spread_of_changes_over_the_scored_frames_of_both_runs() -> None:
-    table = score_table(RUNS, counts={"baseline": counts([0, 1, 0]), "uncoordinated": counts([0, 4, 6])})
-    assert table.cell("fp", "uncoordinated", "picture").change.std == pytest.approx(np.std([0, 3, 6]))
-    (row,) = (row for row in table.rows if (row.measure.label, row.run) == ("fp", "uncoordinated"))
-    assert row.over_alone.std == pytest.approx(np.std([0, 4, 6]))
+def test_counts_per_frame_give_the_spread_of_what_is_over_ego_alone_in_the_scored_frames() -> None:
+    table = table_of(RUNS, counts={"baseline": counts([0, 1, 0]), "uncoordinated": counts([0, 4, 6])})
+    assert table.score("fp", "uncoordinated", OVER_ALONE).std == pytest.approx(np.std([0, 4, 6]))
     runs = {label: summary | {"scored_frames": [1, 3]} for label, summary in RUNS.items()}
-    table = score_table(runs, counts={"baseline": counts([9, 0, 1, 0]), "uncoordinated": counts([4, 6, 9], first=2)})
-    assert table.cell("fp", "uncoordinated", "picture").change.std == pytest.approx(np.std([3, 6]))
+    table = table_of(runs, counts={"baseline": counts([9, 0, 1, 0]), "uncoordinated": counts([4, 6, 9], first=2)})
+    assert table.score("fp", "uncoordinated", OVER_ALONE).std == pytest.approx(np.std([4, 6]))
 
 
 def test_the_picture_in_transit_has_a_column_if_something_changed_it() -> None:
@@ -88,19 +96,19 @@ def test_the_picture_in_transit_has_a_column_if_something_changed_it() -> None:
     def shown(change: dict[str, Any], **same: str) -> ScoreTable:
         changed = scores((1.2, 0.25, 12.0)) | change
         run = metrics((1.2, 0.25, 12.0), picture_received=changed, picture_on_arrival=changed)
-        return score_table({"run": run | {"same_as": {"ego": same}}})
+        return table_of({"run": run | {"same_as": {"ego": same}}})
 
     late = shown({"rmse_m": 0.9}, picture_received="picture")
     assert late.estimates == ("local", "picture", "picture_on_arrival", "mission")
     assert shown({}, picture_received="picture", picture_on_arrival="picture").estimates == MAIN
     forged = shown({"fp": {"mean": 5.25, "std": 0.5}}, picture_received="picture_on_arrival")
     assert forged.estimates == ("local", "picture", "picture_received", "mission")
-    assert forged.cell("fp", "run", "picture_received").value.mean == 5.25
+    assert forged.score("fp", "run", "picture_received").mean == 5.25
 
 
 def test_estimates_of_a_users_own_wires_come_last_by_name() -> None:
     own = {name: scores((1.0, 0.0, 2.0)) for name in ("zebra", "intents", "hopes")}
-    assert score_table({"run": metrics((1.2, 0.25, 12.0), **own)}).estimates == (*MAIN, "hopes", "intents", "zebra")
+    assert table_of({"run": metrics((1.2, 0.25, 12.0), **own)}).estimates == (*MAIN, "hopes", "intents", "zebra")
 
 
 def test_what_a_received_folder_says_of_a_metric_is_checked() -> None:
@@ -112,21 +120,24 @@ def test_what_a_received_folder_says_of_a_metric_is_checked() -> None:
 
 
 def test_markdown_has_a_line_per_metric_and_run_which_no_label_can_break() -> None:
-    head, rule, *rows = as_markdown(score_table(RUNS)).splitlines()
-    assert {line.count("|") for line in (head, rule, *rows)} == {10}
-    assert "| false (FP) | uncoordinated | 0.50 | +0.00 | 9.65 | +9.40 | 9.65 | +9.40 | +9.15 |" in rows
-    lines = as_markdown(score_table({"a|b\nc": RUNS["baseline"]})).splitlines()
+    head, rule, *rows = table_of(RUNS).text().markdown().splitlines()
+    assert {line.count("|") for line in (head, rule, *rows)} == {7}
+    at = rows.index("| false (FP) | baseline | 0.50 ± 0.50 | 0.25 ± 0.50 | 0.25 ± 0.50 | \u22120.25 |")
+    assert rows[at + 1] == (
+        "| false (FP) | uncoordinated | 0.50 (+0.00) ± 0.50 | 9.65 (+9.40) ± 0.50 | 9.65 (+9.40) ± 0.50 | +9.15 |"
+    )
+    lines = table_of({"a|b\nc": RUNS["baseline"], "d": RUNS["baseline"]}).text().markdown().splitlines()
     assert lines[2].startswith("| missed (FN) | a\\|b c |")
 
 
 def test_the_terminal_tables_fit_80_columns_and_one_run_has_no_changes() -> None:
-    text = printed(score_table(RUNS | {"attack_during_partition": metrics((1.4, 2.2, 11.8))}))
+    text = printed(table_of(RUNS | {"attack_during_partition": metrics((1.4, 2.2, 11.8))}))
     assert max(map(len, text.splitlines())) <= 80
     for number in ("9.65 (+9.40)", "12.00", "0.31"):
         assert number in text
     assert "…" not in text
-    one = printed(score_table({"run": RUNS["baseline"]}))
-    for heading in ("ego alone", "picture", "ego with"):
+    one = printed(table_of({"run": RUNS["baseline"]}))
+    for heading in ("ego", "alone", "picture"):
         assert heading in one
     assert "(+" not in one
 

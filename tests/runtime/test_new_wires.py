@@ -258,8 +258,8 @@ def test_errors_are_due_to_the_link_that_acted_not_to_faults_on_wires_that_nothi
     causes = {cause for each in run.findings if each.kind == "change" for cause in each.cause}
     assert causes == {"link_infra_2"}
     assert [each.who for each in limits(run) if each.cause == ("no estimate",)] == [("link_agent_infra_1_status",)]
-    idle = [each["text"] for each in run.record["notices"] if each["kind"] == "idle"]
-    assert idle == ["fault Loss scene/truth changed no message from 1 s"]
+    idle = [(*each.who, each.what, each.value) for each in run.findings if each.kind == "idle"]
+    assert idle == [("Loss scene/truth", "fault", 1.0)]
 
 
 def test_a_fault_of_a_wire_that_is_no_agents_acts_on_it_alone_though_a_map_puts_links_there() -> None:
@@ -362,7 +362,7 @@ def test_estimates_and_metrics_of_ones_own_are_in_the_tables_with_their_units() 
     ]
     of_study = [each[:4] for each in numbers(run.summary) if each.metric == "price"]
     assert ("shop/north/offer", "messages", "price", 10.0) in of_study
-    summary = played("intents.py", wires="fuse").summary
-    table = score_table({"run": summary})
+    run = played("intents.py", wires="fuse")
+    summary, table = run.summary, score_table({"run": run})
     assert table.estimates[-1] == "intents"
-    assert table.cell("tp", "run", "intents").value.mean == summary["agents"]["ego"]["intents"]["tp"]["mean"]
+    assert table.score("tp", "run", "intents").mean == summary["agents"]["ego"]["intents"]["tp"]["mean"]

@@ -147,12 +147,11 @@ def test_a_node_counts_the_messages_that_it_shortened_and_a_notice_tells_them() 
     rejected = broker.host.rejected
     ((key, kind),) = rejected
     assert (kind, rejected[key, kind]) == ("rows", 1)
-    count, text = notices._rejected(
+    (found,) = notices.of_rejected(
         {"broker": {"rejected": {f"{key}: rows": 1}, "first_rejected": broker.host.first_rejected}}
     )
-    assert count == 1
-    assert "by broker" in text
-    assert "20 rows, expected" in text
+    assert (found.who, found.value, found.where) == (("broker",), 1, key)
+    assert "20 rows, expected" in found.cause[0]
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import pytest
-from small_study import SMALL
 
 import mast_zenoh as mast
 from mast_zenoh.errors import RunFolderError

@@ -126,6 +126,6 @@ def test_a_wire_that_delivered_nothing_but_rejected_messages_is_in_the_last_line
     highway(PLACES["origin"], far=14).save(tmp_path / "scene.npz")
     run = mast.run("peers", codec="cpm", scene=f"recording:{tmp_path / 'scene.npz'}", frames=3, out=tmp_path / "run")
     (notice,) = [notice for notice in run.record["notices"] if notice["kind"] == "undelivered"]
-    assert notice["count"] == 1
+    assert notice["value"] == 1
     assert notice["text"].startswith("all messages were rejected on 1 wire: agent/")
     assert "cannot be sent as cpm: referencePosition: found a place 300 km from the scene" in notice["text"]

@@ -16,7 +16,6 @@ from mast_zenoh.errors import ConfigurationError, MastError
 from mast_zenoh.evaluation.driver_wires import driver_ports
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.measurement import recorded_wirings, scenario_of
-from mast_zenoh.launch.notices import first_three
 from mast_zenoh.launch.replay.cut import Place, ReplayedMesh, cut
 from mast_zenoh.launch.replay.cut import fitted as fit
 from mast_zenoh.launch.replay.live import Live, live_nodes
@@ -25,7 +24,7 @@ from mast_zenoh.mesh import player
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.node import Node
-from mast_zenoh.run_folder import json_or_empty
+from mast_zenoh.run_folder import finding, json_or_empty
 from mast_zenoh.run_folder.recording.reader import file_of
 from mast_zenoh.run_folder.recording.script import Script
 from mast_zenoh.scenes.recording import Recording
@@ -154,7 +153,7 @@ def resolve(
     if unconnected:
         notices.append(f"no recorded wire leads to {', '.join(unconnected)}: these inputs get no messages")
     if left_out:
-        steps_left_out = first_three(left_out)
+        steps_left_out = finding.names(left_out, 3)
         notices.append(f"not repeated: {steps_left_out}; what the nodes then sent, or did not send, is played")
     if scene is None:
         notices.append(f"{folder / RECORDING} cannot be read: the report shows no buildings and no camera view")

@@ -14,13 +14,14 @@ from mast_zenoh.config import plugins
 from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
 from mast_zenoh.errors import MessageError, RunFolderError
 from mast_zenoh.launch.ending import RUNNING
-from mast_zenoh.launch.notices import first_three, of_recording
+from mast_zenoh.launch.notices import of_recording
 from mast_zenoh.launch.replay.cut import ReplayedMesh
 from mast_zenoh.links import WIRES, type_number
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.metrics.study_results import plural
 from mast_zenoh.run_folder import versions
+from mast_zenoh.run_folder.finding import names, sentence
 from mast_zenoh.run_folder.recording import churn
 from mast_zenoh.run_folder.recording.format import MALFORMED
 from mast_zenoh.run_folder.recording.reader import Recorded, is_whole, read
@@ -120,7 +121,7 @@ def read_scripts(
         where = f"{plural(len(gaps), 'wire')} (most: {worst}, {gaps[worst]})"
         notices.append(f"{plural(sum(gaps.values()), 'message')} on {where} were not recorded, and are not played")
     if silent:
-        notices.append(f"no message is recorded on {first_three(silent)}")
+        notices.append(f"no message is recorded on {names(silent, 3)}")
     if messages.outsiders:
         foreign = plural(messages.outsiders, "message")
         notices.append(f"{foreign} without the mark of the run's nodes are not played: outsiders sent them")
@@ -243,4 +244,4 @@ def of_run(record: Mapping[str, Any], resolved: Resolved) -> list[str]:
             f"{churn.sentence(record['churn'])} in the recorded run: in the replay these nodes stay, and played ones "
             "send what was recorded"
         )
-    return [*sentences, *of_recording(record)]
+    return [*sentences, *map(sentence, of_recording(record))]

@@ -11,7 +11,6 @@ from matplotlib import figure as figures
 from matplotlib.axes import Axes
 
 from mast_zenoh.metrics.estimates import ESTIMATES
-from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.run_folder import subfolder, write_bytes
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.show.figures.birdseye import BirdseyePanel
@@ -19,7 +18,7 @@ from mast_zenoh.show.figures.camera import draw_camera, ego_eye
 from mast_zenoh.show.figures.legend import draw_legend, legend_entries
 from mast_zenoh.show.figures.style import THEMES, Figure, pdf, plain, png, svg
 from mast_zenoh.show.figures.window import Window, window_of
-from mast_zenoh.show.tables.scores import ScoreTable, number
+from mast_zenoh.show.tables.scores import ScoreTable
 
 _THEME = THEMES["dark"]
 
@@ -166,7 +165,7 @@ def _numbers(figure: Figure, selection: tuple[ScoreTable, str, str], left: float
     style = {"ha": "center", "va": "top"}
     step = width / len(columns)
     for index, (key, name, colour) in enumerate(columns):
-        x, value = left + step * (index + 0.5), number(table.cell(key, run, estimate).value, MEASURES[key])
+        x, value = left + step * (index + 0.5), table.score(key, run, estimate).number
         figure.write(x, top, value, color=colour, fontsize=17, fontweight="bold", **style)
         figure.write(x, top + 0.32, name, color=_THEME.ink, fontsize=10, **style)
     figure.write(left + step * 1.5, top + 0.51, "objects per frame", color=_THEME.faint, fontsize=9.5, **style)

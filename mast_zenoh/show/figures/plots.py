@@ -87,8 +87,7 @@ class Plots:
         for label, view in views.items():
             if estimate not in view.boxes:
                 raise ConfigurationError(f"{label}: no boxes of {estimate!r}{nearest(estimate, view.boxes)}")
-        table = score_table({label: run.files.summary for label, run in runs.items()}, agent=self._first.ego or "ego")
-        return side_by_side_figure(views, table, estimate)
+        return side_by_side_figure(views, score_table(runs), estimate)
 
     def _view(self, frame: int | None) -> Frame:
         return _view(self._first, choose_frame(self._first) if frame is None else frame)

@@ -15,6 +15,7 @@ from matplotlib.text import Text
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.metrics.estimates import TRUTH
+from mast_zenoh.run_folder.finding import sentence
 from mast_zenoh.runs.frame import Frame, ego_position
 from mast_zenoh.show.figures.camera import draw_camera, ego_eye
 from mast_zenoh.show.figures.legend import draw_legend, legend_entries
@@ -205,7 +206,7 @@ class Sheet:
         self._caption.set(text=plain(caption), color=theme.adversary if any(on) else theme.ink)
         room = self._panel if len(self._states) > 1 else self._width - 2 * _MARGIN
         for state, take, view, attacked in zip(self._states, self.takes, views, on, strict=False):
-            state.set_text(plain(self._shortened(take.attacks.sentence(view.index), 10, room)))
+            state.set_text(plain(self._shortened(sentence(take.attacks.at(view.index)), 10, room)))
             state.set_color(theme.adversary if attacked else theme.faint)
         for strip, texts, take, view in zip(self._strips, self._counts, self.takes, views, strict=True):
             strip.now.set_xdata([min(seconds, take.seconds(take.last))] * 2)

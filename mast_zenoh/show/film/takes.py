@@ -11,6 +11,7 @@ import numpy as np
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.metrics.estimates import TRUTH
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs import events
 from mast_zenoh.runs.driven import braking_events
 from mast_zenoh.runs.evaluated import Score
@@ -92,8 +93,6 @@ class Take:
 
 #: s: an attack that changes nothing for so long is over.
 _PAUSE_S = 1.0
-#: Adversaries or agents that are named; more are counted.
-_NAMED = 2
 
 
 class Attacks:
@@ -118,22 +117,17 @@ class Attacks:
         """Whether any adversary is ever on a wire."""
         return not all(each.is_link for each in self._interposers)
 
-    def sentence(self, frame: int) -> str:
-        """What is done in a frame, in words."""
+    def at(self, frame: int) -> Finding:
+        """What is done in a frame."""
         if self._effects is None:
-            return "attacks were not measured" if self.possible else "no attack"
+            return Finding("attacked", what="not measured" if self.possible else "off")
         if not self.on(frame):
-            waiting = sorted(attacked_at(self._interposers, frame))
-            return f"no attack; adversary on the wires of {_names(waiting, 'agents')}" if waiting else "no attack"
+            return Finding("attacked", tuple(sorted(attacked_at(self._interposers, frame))), "off")
         here = rows(self._effects, self._effects["frame"] == frame)
         changes = Counter(here["effect"].astype(str).tolist())
-        names = sorted(set(here["interposer"].astype(str).tolist()))
-        what = ", ".join(f"{count} {effect}" for effect, count in sorted(changes.items()))
-        return f"attack by {_names(names, 'adversaries')}: {what}" if names else "attack: nothing changed in this frame"
-
-
-def _names(names: list[str], noun: str) -> str:
-    return ", ".join(names) if len(names) <= _NAMED else f"{len(names)} {noun}"
+        names = tuple(sorted(set(here["interposer"].astype(str).tolist())))
+        did = tuple(f"{count} {effect}" for effect, count in sorted(changes.items()))
+        return Finding("attacked", names, "on", cause=did)
 
 
 class Captions:
@@ -167,6 +161,6 @@ def caption_events(take: Take) -> list[tuple[int, str]]:
         period | {"begins": period["label"]} if period["kind"] == "undecided" else period
         for period in spans(take.run, take.times)
     ]
-    happened = events.happenings(take.run, periods, take.times) + braking_events(take.run, take.times, reasons=False)
+    happened = events.happenings(take.run, periods, take.times) + braking_events(take.run, take.times, brief=True)
     happened.sort(key=lambda each: (each.frame, each.kind != "interception", each.text))
     return [(max(each.frame, take.first), each.text) for each in happened if each.frame <= take.last]

@@ -1,6 +1,6 @@
 """What is worth saying about a run: findings, from its measurements, in one order; `words` says them.
 
-finding      what a finding is;  words  the sentences, from templates/phrases.j2; those of studies from study_phrases.j2
+words        their sentences; those of studies are from templates/study_phrases.j2
 results      how the run ended, the largest changes of its scores;  changes, causes, differences  what these are due to
 adversaries  what they did, and why it had limited effect
 cars         what happened to driven cars;  defence  what a defence did, and the agents' own pictures
@@ -8,43 +8,54 @@ cars         what happened to driven cars;  defence  what a defence did, and the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.run_folder import finite, write_json
+from mast_zenoh.run_folder.finding import Finding, names
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.comparison import Reference, of_errors
 from mast_zenoh.show.findings import adversaries, cars, defence, results
 from mast_zenoh.show.findings.changes import largest_change
-from mast_zenoh.show.findings.finding import Finding
-from mast_zenoh.show.findings.words import names, said, text
+from mast_zenoh.show.findings.words import said, text
 
 
-def findings(run: Run, reference: Reference | None = None) -> list[Finding]:
-    """Everything that is worth saying about a run, in the order in which it is said.
+def found_in(run: Run, reference: Reference | None = None) -> dict[str, list[Finding]]:
+    """Everything that is worth saying about a run, by what it is about, in the order in which it is said.
 
-    First how it ended, then what happened to cars, what changed and why, what the adversaries did, and the defence.
+    headline: how it failed, or else its outcome;  details: the other results;  cars, attacks, defence, periods,
+    pictures: what these did, were or lasted;  limits: why attacks had limited effect;  notices: what its launcher noted
 
     reference: the run that it is compared with, such as its unattacked twin; None: by its own measurements
     """
-    failed = results.status(run)
-    return [
-        *(failed or outcome(run, reference)),
-        *details(run, reference),
-        *cars.of_cars(run, reference),
-        *adversaries.attacks(run),
-        *adversaries.limits(run, reference),
-        *defence.of_defence(run),
-        *defence.periods(run),
-        *defence.of_pictures(run),
-    ]
+    return {
+        "headline": results.status(run) or outcome(run, reference),
+        "details": details(run, reference),
+        "cars": cars.of_cars(run, reference),
+        "attacks": adversaries.attacks(run),
+        "limits": adversaries.limits(run, reference),
+        "defence": defence.of_defence(run),
+        "periods": defence.periods(run),
+        "pictures": defence.of_pictures(run),
+        "notices": run.notices,
+    }
 
 
-def write(run: Run, reference: Reference | None = None) -> None:
-    """Write `findings.json` into a run's folder: each finding's fields, and `text`, how the page says it."""
-    every = [asdict(each) | {"text": " ".join(said(run, [each]))} for each in findings(run, reference)]
-    write_json(run.path / "findings.json", finite(every))
+def findings(run: Run, reference: Reference | None = None) -> list[Finding]:
+    """The same, as one list."""
+    return [each for part in found_in(run, reference).values() for each in part]
+
+
+def write(run: Run, found: Mapping[str, Sequence[Finding]]) -> None:
+    """Write `findings.json` into a run's folder: each finding's fields, and `text`, how the page says it.
+
+    found: all findings of the run; notices have their words from run.json, as it may be of another version
+    """
+    texts = [each["text"] for each in run.files.record.get("notices", ())]
+    every = [(each, " ".join(said(run, [each]))) for name, part in found.items() if name != "notices" for each in part]
+    every += zip(found["notices"], texts, strict=True)
+    write_json(run.path / "findings.json", finite([asdict(each) | {"text": words} for each, words in every]))
 
 
 def headline(run: Run, reference: Reference | None = None) -> str:

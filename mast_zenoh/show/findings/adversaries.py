@@ -13,13 +13,13 @@ from mast_zenoh.metrics.achievement import DISPLACED_M
 from mast_zenoh.metrics.boxes import Places, nearest, occurs
 from mast_zenoh.metrics.estimates import LOCAL, PICTURE
 from mast_zenoh.metrics.study_results import plural
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.files import Table, are_in, column, rows
 from mast_zenoh.runs.interposers import BAD, OF_OBJECTS, WITH_COLUMN, Interposer, hostile, interposers
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.comparison import Reference, of_errors
 from mast_zenoh.show.findings.causes import changed_for_nothing, culprit_names, matters, reaches
 from mast_zenoh.show.findings.changes import DISPLACED, FALSE, IDENTITY, MISSED, largest_change, scored
-from mast_zenoh.show.findings.finding import Finding
 from mast_zenoh.wiring.model import peer_of
 
 #: Agents that are named as senders; more are counted.
@@ -35,7 +35,7 @@ def positions(run: Run) -> list[Finding]:
     adversaries, what = hostile(run), "compromised"
     who = tuple(each.name for each in adversaries)
     if not any(each.changed for each in adversaries):
-        late = all(late_start_s(run, each) is not None for each in adversaries)
+        late = {*who} <= _late_starts_s(run).keys()
         unmeasured = any(each.effects is None for each in adversaries)
         what = "unmeasured" if unmeasured else "late" if late else "idle"
     acting = [each for each in adversaries if what != "compromised" or each.changed or each.effects is None]
@@ -142,7 +142,7 @@ def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[Find
     blamed_for: the kind of the largest change if this interposer causes it, else empty
     """
     limited = partial(Finding, "limited", (interposer.name,))
-    start, listeners = late_start_s(run, interposer), {*interposer.before}
+    start, listeners = _late_starts_s(run).get(interposer.name), {*interposer.before}
     estimates = run.files.summary.get("agents", {}).get(run.ego, (PICTURE,))
     used, idle = matters(run, interposer.name), changed_for_nothing(run, interposer.name)
     if used and idle:
@@ -151,7 +151,7 @@ def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[Find
         yield limited(cause=("unmeasured",))
     elif not interposer.changed and interposer.failures:
         yield limited(where=interposer.failures, cause=("failed",))
-    elif not interposer.changed and start is not None and interposer.received:
+    elif not interposer.changed and start is not None:
         yield limited(value=start, unit="s", cause=("late",))
     elif not interposer.changed:
         yield limited(value=interposer.received, cause=("idle",))
@@ -191,12 +191,9 @@ def _reasons_of_targets(run: Run, interposer: Interposer, targets: Table, blamed
             yield Finding("limited", who, what, reason[1], cause=(reason[0],))
 
 
-def late_start_s(run: Run, interposer: Interposer) -> float | None:
-    """s, start of an attack planned for after the end of the run; None: otherwise."""
-    attack = (run.node_spec(interposer.name).get("config") or {}).get("attack")
-    start = attack.get("start_s") if isinstance(attack, Mapping) else None
-    duration_s = float(run.files.summary.get("frames", 0) * run.period_s)
-    return float(start) if isinstance(start, (int, float)) and 0.0 < duration_s <= start else None
+def _late_starts_s(run: Run) -> dict[str, float | None]:
+    """s, the starts of attacks planned for after the end of the run, by adversary, as its launcher found them."""
+    return {each.who[0]: each.value for each in run.notices if each.kind == "idle" and each.cause == ("late",)}
 
 
 def _inserted(run: Run, targets: Table, achieved: Mapping[str, Any]) -> tuple[str, float | None] | None:

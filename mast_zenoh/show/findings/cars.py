@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from mast_zenoh.runs.driven import brakes_of, reason_of
+from mast_zenoh.run_folder.finding import Finding
+from mast_zenoh.runs.driven import happened_to
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.comparison import WAY_M, Reference
-from mast_zenoh.show.findings.finding import Finding
 
 #: Cars, and of each car collisions and brakes, that have findings; the table and the time axis have all.
 _MOST = 3
@@ -55,17 +55,11 @@ def of_cars(run: Run, reference: Reference | None = None) -> list[Finding]:
     cars, result = drives(run), list[Finding]()
     notable = [car for car, drive in cars.items() if car == run.ego or drive["collisions"] or len(cars) <= _MOST]
     for car in notable[:_MOST]:
-        for hit in cars[car]["collisions"][:_MOST]:
-            what = "hidden" if hit["hidden"] else ""
-            when, where = (hit["frame"] * run.period_s,) * 2, str(hit["object"])
-            result.append(Finding("collision", (car,), what, hit["speed_mps"], None, "m/s", where, when))
-        brakes = [each for each in brakes_of(run, car) if each["needless"] or each["cause"]["adversary"]]
-        brakes.sort(key=lambda brake: -brake["hardest_mps2"])
-        for brake in brakes[:_MOST]:
-            known = brake.get("on_truth_mps2") if brake["needless"] and brake["cause"]["kind"] == "real" else None
-            what, when = "needless" if brake["needless"] else "", (brake["from_s"], brake["until_s"])
-            strength, reason = brake["hardest_mps2"], (reason_of(brake),)
-            result.append(Finding("brake", (car,), what, strength, known, "m/s²", when=when, cause=reason))
+        happened = happened_to(run, car)
+        result += [each for each in happened if each.kind == "collision"][:_MOST]
+        brakes = [each for each in happened if each.kind == "brake" and (each.what or each.cause[1:])]
+        brakes.sort(key=lambda brake: -(brake.value or 0.0))
+        result += brakes[:_MOST]
         shown = [
             each for each in _counts(run, reference) if each.who == (car,) and each.what not in ("hits", "needless")
         ]

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from mast_zenoh.metrics.estimates import PICTURE
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.events import doubts, suspensions
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.findings.adversaries import altered_on_the_way
-from mast_zenoh.show.findings.finding import Finding
 
 
 def of_defence(run: Run) -> list[Finding]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.metrics.estimates import ESTIMATES, IN_TRANSIT, LOCAL, MISSION, PICTURE, RECEIVED
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.run_folder.recording import churn
 from mast_zenoh.runs.files import Table, rows
 from mast_zenoh.runs.interposers import failures_of, hostile, interposers, n_failed_frames
@@ -16,7 +17,6 @@ from mast_zenoh.show.findings.cars import drives
 from mast_zenoh.show.findings.causes import causes, matters
 from mast_zenoh.show.findings.changes import DISPLACED, ERRORS, FALSE, IDENTITY, MISSED, NOTHING, Change, scored
 from mast_zenoh.show.findings.differences import attacking_nodes, other_differences
-from mast_zenoh.show.findings.finding import Finding
 
 
 def status(run: Run) -> list[Finding]:

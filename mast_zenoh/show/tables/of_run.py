@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
-
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
+from typing import Any
 
 from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE, TRUTH, subject_of
 from mast_zenoh.metrics.measures import metric_named
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.events import doubts, suspensions
 from mast_zenoh.runs.interposers import hostile
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.findings.causes import reaches
-from mast_zenoh.show.findings.finding import Finding
-from mast_zenoh.show.tables.scores import Value
-from mast_zenoh.show.tables.scores import number as score_text
+from mast_zenoh.show.tables.scores import score_of
 from mast_zenoh.show.tables.text_table import DASH, TextTable, number, whole_percent
 from mast_zenoh.tracking.base import OVERCONFIDENT
 
@@ -70,9 +66,10 @@ def message_table(run: Run) -> TextTable:
     lines = []
     for wire, metrics in run.files.summary.get("messages", {}).items():
         for name, value in metrics.items():
-            metric, shown = metric_named(name, described), Value.of(value)
-            deviation = DASH if shown.std is None else f"{shown.std:.{metric.digits}f}"
-            lines.append((wire, metric.heading, score_text(shown, metric), deviation))
+            metric = metric_named(name, described)
+            score = score_of(value, metric)
+            deviation = DASH if score.std is None else f"{score.std:.{metric.digits}f}"
+            lines.append((wire, metric.heading, score.number, deviation))
     return TextTable(MESSAGES_TITLE, "", ("wire", "metric", "mean", "standard\ndeviation"), lines, 2)
 
 
@@ -116,11 +113,6 @@ def nees_table(runs: Mapping[str, Mapping[str, Any]], agent: str) -> TextTable:
 def _nees_cell(summary: Mapping[str, Any]) -> str:
     nees = summary.get("nees")
     return DASH if nees is None else f"{_number(nees)}{'*' * _exceeds(summary)}"
-
-
-def nees_as_rich(runs: Mapping[str, Mapping[str, Any]], agent: str) -> Table | None:
-    """The same for the terminal; None: not known."""
-    return _as_rich(nees_table(runs, agent))
 
 
 #: More estimates than these are split into those of the ego and the others.
@@ -375,14 +367,6 @@ _MAIN_WIRES = ("tracks", "collated", "picture")
 _SPLITS = (("fn_split", "missed"), ("fp_split", "false"))
 
 
-class CheckRow(NamedTuple):
-    """A check; `outcome` is "ok", "failed" or "not checked"."""
-
-    name: str
-    outcome: str
-    detail: str
-
-
 def cause_groups(*summaries: Mapping[str, Any]) -> tuple[str, ...]:
     """The groups of causes in the tables of some runs: with "withheld" if objects were withheld in any."""
     pictures = [each.get("picture", {}) for metrics in summaries for each in metrics.get("agents", {}).values()]
@@ -405,18 +389,22 @@ def cause_table(runs: Mapping[str, Mapping[str, Any]], agent: str | None = None)
                 lines.append((label if agent else name, *numbers))
     errors = ("", *(error for _, error in _SPLITS for _ in groups))
     title = "Causes of missed and false objects, per frame in the picture"
-    return TextTable(title, "", ("picture of", *groups, *groups), lines, groups=errors)
+    return TextTable(title, "", ("run" if agent else "picture of", *groups, *groups), lines, groups=errors)
 
 
-def check_rows(checks: Mapping[str, Any]) -> list[CheckRow]:
-    """The checks, failed ones first."""
-    rows = []
+_CHECKS = ("check", "outcome", "found")
+_CHECK_KINDS = {"outcome": "text", "found": "words"}
+
+
+def check_table(checks: Mapping[str, Any]) -> TextTable:
+    """A line per check, failed ones first; their outcome is `ok`, `failed` or `not checked`."""
+    lines = []
     for each in checks.get("checks", ()):
         skipped = not each.get("values", {}).get("checked", True)
         outcome = "failed" if not each["ok"] else "not checked" if skipped else "ok"
-        detail = each.get("detail", "").removeprefix("not checked: ")
-        rows.append(CheckRow(str(each["name"]), outcome, detail))
-    return sorted(rows, key=lambda row: ("failed", "ok", "not checked").index(row.outcome))
+        lines.append((str(each["name"]), outcome, each.get("detail", "").removeprefix("not checked: ")))
+    lines.sort(key=lambda line: ("failed", "ok", "not checked").index(line[1]))
+    return TextTable("", "", _CHECKS, lines, kinds=_CHECK_KINDS, bad=[line[1] == "failed" for line in lines])
 
 
 _PERCENTILES = ("p50", "p95", "p99")
@@ -439,25 +427,7 @@ def latency_tables(metrics: Mapping[str, Any]) -> tuple[TextTable, TextTable, Te
     return by_wire, others_by_wire, TextTable("", "", ("agent", "late messages"), late)
 
 
-def causes_as_rich(runs: Mapping[str, Mapping[str, Any]], agent: str) -> Table | None:
-    """Terminal table of the causes of an agent's errors, a line per run; None: not known."""
-    return _as_rich(cause_table(runs, agent))
-
-
-def _as_rich(source: TextTable) -> Table | None:
-    """A table of grouped columns for the terminal; None without lines."""
-    if not source.lines:
-        return None
-    table = Table(title=source.title, title_justify="left", title_style="dim", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("", justify="left", no_wrap=True)
-    for group, heads in source.grouped[1:]:
-        for index, head in enumerate(heads):
-            table.add_column(f"{group if index == 0 else ''}\n{head.text}", justify="right")
-    for line in source.lines:
-        table.add_row(*line)
-    return table
-
-
 def check_lines(checks: Mapping[str, Any]) -> list[str]:
     """Terminal lines of the checks, failed ones first."""
-    return [f"check {row.name}: {row.outcome}{f' ({row.detail})' if row.detail else ''}" for row in check_rows(checks)]
+    lines = check_table(checks).lines
+    return [f"check {name}: {outcome}{f' ({detail})' if detail else ''}" for name, outcome, detail in lines]

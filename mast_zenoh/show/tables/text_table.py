@@ -17,6 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mast_zenoh.metrics.study_results import MIN_SEEDS, MOSTLY_ZERO, Row, Statistic
+from mast_zenoh.run_folder import finding
 
 #: Placeholder for an unknown number.
 DASH = "\u2013"
@@ -120,7 +121,7 @@ class TextTable(NamedTuple):
             return Group(table._on_terminal(None))
         widths = [
             max(max(map(len, heading.split()), default=0), *(len(text) for cell in cells for text in cell.split("\n")))
-            for heading, *cells in zip(table.headings, *table.lines, strict=True)
+            for heading, *cells in zip(table._terminal_headings, *table.lines, strict=True)
         ]
         parts = [[*range(self.texts)]]
         for at in range(self.texts, len(widths)):
@@ -133,6 +134,13 @@ class TextTable(NamedTuple):
         above = [Text(self.title, style="bold"), *([Text(wrapped(self.about), style="dim")] if self.about else [])]
         return Group(*above, *tables)
 
+    @property
+    def _terminal_headings(self) -> list[str]:
+        """The headings, below the name of the group that begins with them."""
+        begins = [head.group if at == 0 else "" for _, heads in self.grouped for at, head in enumerate(heads)]
+        lines = [f"{group}\n{text}" for group, text in zip(begins, self.headings, strict=True)]
+        return lines if any(begins) else list(self.headings)
+
     def _on_terminal(self, widths: Sequence[int] | None) -> Table:
         """widths: of columns; None: wrapped between words, which are never cut"""
         result = Table(
@@ -144,7 +152,7 @@ class TextTable(NamedTuple):
             padding=(0, 1, 0, 0),
         )
         widths = widths or _widths(list(zip(self.headings, *self.lines, strict=True)))
-        for index, (heading, width) in enumerate(zip(self.headings, widths, strict=True)):
+        for index, (heading, width) in enumerate(zip(self._terminal_headings, widths, strict=True)):
             result.add_column(heading, justify="left" if index == 0 else "right", width=width)
         for line in self.lines:
             result.add_row(*map(escape, line))
@@ -245,7 +253,7 @@ def number(value: float | None, digits: int = 2) -> str:
 
 def whole_percent(share: float) -> str:
     """A share in per cent, halves rounded up: 0.125 is `13`, 0.875 is `88`."""
-    return DASH if math.isnan(share) else number(math.floor(100.0 * share + 0.5), 0)
+    return DASH if math.isnan(share) else finding.percent(share)
 
 
 def whole(each: Statistic) -> str:

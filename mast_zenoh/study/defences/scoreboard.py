@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from mast_zenoh.metrics.significance import holm
 from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, Row
-from mast_zenoh.show.findings.words import names as join_names
+from mast_zenoh.run_folder import finding
 from mast_zenoh.show.findings.words import of_study, paragraph
 from mast_zenoh.show.tables.text_table import BOUNDS, ResultTables, TextTable, bounds, digits, measured
 from mast_zenoh.study.defences.matrix_table import MatrixTable
@@ -77,7 +77,7 @@ class Scoreboard:
     def named(self, name: str, rows: Iterable[Row], sign: int) -> str:
         """The defences of cells whose measure differs from 0, in one direction."""
         named = [row.of["defence"] for row in rows if self.differs(name, row) and sign * row[name].value > 0.0]
-        return join_names(named) if named else "none"
+        return finding.names(named) if named else "none"
 
     def text(self, name: str, row: Row) -> str:
         """A measure of a cell, with its mark."""

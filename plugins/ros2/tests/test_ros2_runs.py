@@ -68,7 +68,7 @@ def test_a_run_goes_on_without_a_node_of_ros_and_says_so(router: str, place: str
     (counts,) = ended.record["outside"].values()
     assert (counts["asked"], counts["unanswered"]) == (12, 12)
     (notice,) = (each for each in ended.record["notices"] if each["kind"] == "outside")
-    assert notice["count"] == 12
+    assert notice["value"] == 12
     assert "on which the results depend: 12 of 12 messages had no answer in time" in notice["text"]
     assert "from frame 0 on: no node of ROS 2 is in domain 0" in notice["text"]
 
