@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from mast_datasets.archive import unpack
-from mast_datasets.files import Coordinate, Element, Point, Size, closed_outline, only, read_json
+from mast_datasets.files import Coordinate, Count, Element, Point, Seconds, Size, closed_outline, only, read_json
 from mast_datasets.traffic import ABOVE_0, DataSetScene, boxes_of, check_steps
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import Detections, Floats, Ints
@@ -120,7 +120,6 @@ def _files(folder: Path, kind: str, frames: Sequence[int] | None = None) -> dict
 #: and most, 99 means unknown.
 _HIDDEN = (-1, 3)
 _Fraction = Annotated[float, Meta(ge=0, le=1)]
-_Time = Annotated[float, Meta(ge=-9e9, le=9e9)]  # s; more nanoseconds are no 64 bit number
 _Pixels = Annotated[list[Annotated[int, Meta(ge=0, le=10**6)]], Meta(min_length=2)]
 _Focal = Annotated[list[Annotated[list[Coordinate], Meta(min_length=1)]], Meta(min_length=1)]
 
@@ -232,7 +231,7 @@ def _container(path: Path, frame: int) -> tuple[float, list[Element]]:
     if container["frame"].read(int) != frame:
         container["frame"].fail(f"{frame} as in the name of the file")
     listed = [_parsed(element)["objectstate"] for element in container["data"].elements()]
-    return container["timestamp"].read(_Time), listed
+    return container["timestamp"].read(Seconds), listed
 
 
 def _parsed(element: Element) -> Element:
@@ -250,7 +249,7 @@ class _Returns(Struct, array_like=True):
     """Lidar returns of an object; more numbers may follow."""
 
     id: int
-    points: Annotated[int, Meta(ge=0, le=2**31 - 1)]
+    points: Count
 
 
 def read_visibility(

@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from msgspec import Meta
 
-from mast_datasets.files import Coordinate, Element, XmlElement, closed_outline, find_file, has_root, read_xml
+from mast_datasets import files
 from mast_datasets.traffic import (
     HEIGHT_OF_CLASS,
     TrafficScene,
@@ -25,10 +25,6 @@ from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
 from mast_zenoh.scenes.making.virtual_agents import VEHICLE_CLASSES
 from mast_zenoh.scenes.recording import Recording
 
-_Angle = Annotated[float, Meta(ge=-1e3, le=1e3)]  # rad
-_Speed = Annotated[float, Meta(ge=-200, le=200)]  # m/s
-_Side = Annotated[float, Meta(gt=0, le=1000)]  # m
-_Id = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 _Step = Annotated[int, Meta(ge=0, le=100_000)]  # number of a time step
 _SHAPES = ("rectangle", "circle", "polygon")
 
@@ -44,7 +40,7 @@ class Outline(NamedTuple):
     yaw: float
 
 
-def read_outline(shape: Element) -> Outline:
+def read_outline(shape: files.Element) -> Outline:
     """The box around the only shape of an obstacle: a rectangle, or the box of a circle or polygon."""
     kinds = [kind for kind in _SHAPES if shape.get(kind)]
     if len(kinds) != 1:
@@ -59,20 +55,20 @@ def read_outline(shape: Element) -> Outline:
     centre = part.get("center")
     middle = np.zeros(2) if centre is None else read_point(centre)
     if kinds == ["circle"]:
-        return Outline(np.full(2, 2 * part["radius"].read(_Side)), middle, 0.0)
+        return Outline(np.full(2, 2 * part["radius"].read(files.Side)), middle, 0.0)
     angle = part.get("orientation")
-    size = np.array([part[side].read(_Side) for side in ("length", "width")])
-    return Outline(size, middle, 0.0 if angle is None else angle.read(_Angle))
+    size = np.array([part[side].read(files.Side) for side in ("length", "width")])
+    return Outline(size, middle, 0.0 if angle is None else angle.read(files.Angle))
 
 
-def read_polygon(polygon: Element) -> Floats:
+def read_polygon(polygon: files.Element) -> Floats:
     """Corners (k, 2) m of a polygon, without repeating the first."""
-    return closed_outline(np.array([read_point(point) for point in polygon["point"].elements()]), polygon)
+    return files.closed_outline(np.array([read_point(point) for point in polygon["point"].elements()]), polygon)
 
 
-def read_point(point: Element) -> Floats:
+def read_point(point: files.Element) -> Floats:
     """(2,) m of an element with <x> and <y>."""
-    return np.array([point[axis].read(Coordinate) for axis in "xy"])
+    return np.array([point[axis].read(files.Coordinate) for axis in "xy"])
 
 
 _VERSIONS = ("2018b", "2020a")
@@ -109,7 +105,7 @@ class ScenarioFile(NamedTuple):
 
 def read_scenario(path: Path) -> ScenarioFile:
     """The scenario in a file. Raises SceneError with file, line and reason."""
-    elements = read_xml(path, "commonRoad", _TAGS)
+    elements = files.read_xml(path, "commonRoad", _TAGS)
     root = next(elements, None)
     if root is None:
         raise SceneError(f"{path}: found no element, expected <commonRoad>")
@@ -124,14 +120,14 @@ def read_scenario(path: Path) -> ScenarioFile:
             if kind.text() == "building":
                 buildings.append(read_polygon(element["shape"]["polygon"]))
         elif kind and kind.text((*CLASS_OF_TYPE, *LEFT_OUT)) not in LEFT_OUT:
-            number = element["id"].read(_Id)
+            number = element["id"].read(files.Whole)
             if number in obstacles:
                 element.refuse(f"id {number} occurs twice, expected it once")
             obstacles[number] = _obstacle(element, number, CLASS_OF_TYPE[kind.text()])
     return ScenarioFile(name, step_s, obstacles, buildings)
 
 
-def _obstacle(element: XmlElement, number: int, class_id: int) -> Obstacle:
+def _obstacle(element: files.XmlElement, number: int, class_id: int) -> Obstacle:
     moving = element.tag == "dynamicObstacle"
     if element.tag == "obstacle":  # 2018b
         moving = element["role"].text(("dynamic", "static")) == "dynamic"
@@ -151,7 +147,7 @@ def _obstacle(element: XmlElement, number: int, class_id: int) -> Obstacle:
     return Obstacle(moving, replace(boxes, frame=first + boxes.frame, velocity=velocity))
 
 
-def _states(element: Element, moving: bool) -> list[Element]:
+def _states(element: files.Element, moving: bool) -> list[files.Element]:
     if not moving:
         return [element["initialState"]]
     if element.get("occupancySet"):
@@ -159,17 +155,17 @@ def _states(element: Element, moving: bool) -> list[Element]:
     return [element["initialState"], *element["trajectory"].several("state")]
 
 
-def _poses(states: list[Element], outline: Outline) -> tuple[Floats, Floats]:
+def _poses(states: list[files.Element], outline: Outline) -> tuple[Floats, Floats]:
     """Position (K, 2) m of the middle of the box, and its yaw (K,) rad."""
     origin = np.array([read_point(state["position"]["point"]) for state in states])
-    angle = np.array([state["orientation"]["exact"].read(_Angle) for state in states])
+    angle = np.array([state["orientation"]["exact"].read(files.Angle) for state in states])
     return origin + _turned(angle, *outline.centre), angle + outline.yaw
 
 
-def _velocities(states: list[Element], angle: Floats) -> Floats:
+def _velocities(states: list[files.Element], angle: Floats) -> Floats:
     """(K, 2) m/s: `velocity` along the orientation and, if there is one, `velocityY` to the left of it."""
     ahead, left = (
-        np.array([part["exact"].read(_Speed) if part else usual for part in parts])
+        np.array([part["exact"].read(files.Speed) if part else usual for part in parts])
         for usual, parts in (
             (np.nan, [state.get("velocity") for state in states]),
             (0.0, [state.get("velocityY") for state in states]),
@@ -213,10 +209,10 @@ class CommonRoadScenario(TrafficScene):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        return has_root(path, "commonRoad")
+        return files.has_root(path, "commonRoad")
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        file = find_file(self.root, "files *.xml", lambda file: file.name.endswith((".xml", ".xml.gz")))
+        file = files.find_file(self.root, "files *.xml", lambda file: file.name.endswith((".xml", ".xml.gz")))
         scenario = read_scenario(file)
         start, count = self._window(scenario, file)
         boxes = _boxes(scenario.obstacles.values(), start, count, file)

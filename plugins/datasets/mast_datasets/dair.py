@@ -140,11 +140,8 @@ class Pair(NamedTuple):
     offset: Floats
 
 
-class LidarPoses(NamedTuple):
-    """Poses of a lidar in the world: position (F, 3) m, rotation (F, 3, 3) active."""
-
-    position: Floats
-    rotation: Floats
+#: Of a lidar in the world: position (F, 3) m, rotation (F, 3, 3) active.
+LidarPoses = tuple[Floats, Floats]
 
 
 class DAIRFolder(NamedTuple):
@@ -184,8 +181,8 @@ class DAIRFolder(NamedTuple):
             offset = offset if self.in_world else rotation @ offset
             for column, value in zip(poses, (position, rotation, place + offset, facing), strict=True):
                 column.append(value)
-        columns = [np.array(column) for column in poses]
-        return LidarPoses(*columns[:2]), LidarPoses(*columns[2:])
+        car_position, car_rotation, place, facing = (np.array(column) for column in poses)
+        return (car_position, car_rotation), (place, facing)
 
 
 def open_layout(path: Path) -> DAIRFolder:
@@ -434,15 +431,16 @@ def with_car(truth: Truth, car: LidarPoses) -> tuple[Truth, int]:
     Tracks whose boxes enclose the car's lidar in at least half of their frames are the car itself, as the pole sees
     it: their boxes are left out. Without such a track, ray casting decides whether the pole sees the car.
     """
-    boxes, frames = truth.boxes, len(car.position)
-    own = np.isin(boxes.id, _enclosing(boxes, car.position))
+    position, rotation = car
+    boxes, frames = truth.boxes, len(position)
+    own = np.isin(boxes.id, _enclosing(boxes, position))
     seen_by_pole = np.zeros(frames, bool)
     seen_by_pole[boxes.frame[own & truth.seen[:, 1]]] = True
     rest = boxes.select(~own)
-    bottom = car.position[:, 2] - _lidar_height(rest, car.position)
+    bottom = position[:, 2] - _lidar_height(rest, position)
     object_id = int(boxes.id.max()) + 1
-    middle = np.column_stack([car.position[:, :2], bottom + _CAR_SIZE[2] / 2])
-    added = SceneBoxes.throughout(object_id, middle, _CAR_SIZE, heading(car.rotation), CLASS_INDEX["car"])
+    middle = np.column_stack([position[:, :2], bottom + _CAR_SIZE[2] / 2])
+    added = SceneBoxes.throughout(object_id, middle, _CAR_SIZE, heading(rotation), CLASS_INDEX["car"])
     seen = np.concatenate([truth.seen[~own], np.column_stack([np.zeros(frames, bool), seen_by_pole])])
     known = np.column_stack([np.ones(frames, bool), np.full(frames, own.any())])
     known = np.concatenate([truth.known[~own], known])
@@ -528,19 +526,18 @@ class DAIRScene(DataSetScene):
         times, _ = clocks(pairs)
         car, pole = layout.poses(pairs)
         labelled = []
-        for frame, pair in enumerate(pairs):
-            pose = car.position[frame], car.rotation[frame]
+        for pair, own, of_pole in zip(pairs, zip(*car, strict=True), zip(*pole, strict=True), strict=True):
             sides = [
-                Side(layout.labels(VEHICLE, pair), *pose, "veh_track_id"),
-                Side(layout.labels(INFRASTRUCTURE, pair), pole.position[frame], pole.rotation[frame], "inf_track_id"),
+                Side(layout.labels(VEHICLE, pair), *own, "veh_track_id"),
+                Side(layout.labels(INFRASTRUCTURE, pair), *of_pole, "inf_track_id"),
             ]
-            labelled.append((layout.cooperative_labels(pair), None if layout.in_world else pose, sides))
+            labelled.append((layout.cooperative_labels(pair), None if layout.in_world else own, sides))
         truth = read_truth(labelled, times, self.match_radius_m, self.link_radius_m)
         truth, object_id = with_car(truth, car)
         measured_ns = np.array([pair.infrastructure_time_ns for pair in pairs], np.int64)
         ego = SceneAgent("ego", "mobile", object_id, _CAR_LIDAR, _CAMERA)
         infra = SceneAgent("infra_1", "static", -1, _POLE_LIDAR, _CAMERA)
-        standing = AgentPath(infra, *pole, velocity=np.zeros_like(pole.position), measured_ns=measured_ns)
+        standing = AgentPath(infra, *pole, velocity=np.zeros((len(pairs), 3)), measured_ns=measured_ns)
         paths = [AgentPath(ego, *car), standing]
         seen = [
             replace(path, points=listed_returns(truth.boxes, path, listed, ~known, frames))

@@ -26,7 +26,6 @@ from defusedxml.expatreader import DefusedExpatParser  # type: ignore[import-unt
 from msgspec import Meta
 from yaml.constructor import ConstructorError, SafeConstructor
 
-from mast_datasets.traffic import MAX_SIZE_M
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.scenes.detection_tables import MAX_FILE_BYTES, read_text
@@ -133,11 +132,18 @@ _MAX_SHEAR = 1e-2  # of a rotation matrix, per element of its product with its t
 
 #: Limit on a coordinate, m: far beyond any map projection, and its square is far below the limit of a number.
 MAX_COORDINATE_M = 1e8
+#: Limit on the length of an object, m: of a train.
+MAX_SIZE_M = 1000.0
 #: Types of values for `Element.read`, beside those of Python.
 Coordinate = Annotated[float, Meta(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 Side = Annotated[float, Meta(gt=0, le=MAX_SIZE_M)]
 Size = tuple[Side, Side, Side]
+Angle = Annotated[float, Meta(ge=-1e4, le=1e4)]  # rad
+Speed = Annotated[float, Meta(ge=-200, le=200)]  # m/s
+Seconds = Annotated[float, Meta(ge=-9e9, le=9e9)]  # to the year 2255; more nanoseconds are no 64 bit number
+Whole = Annotated[int, Meta(ge=0, le=10**15)]
+Count = Annotated[int, Meta(ge=0, le=2**31 - 1)]
 Name = str | Annotated[int, Meta(ge=0, le=2**63 - 1)]
 _Row = tuple[Coordinate, Coordinate, Coordinate, Coordinate]
 

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from mast_datasets.files import Coordinate, Element, Side, choose_name, orthonormal, read_lines
+from mast_datasets.files import Angle, Coordinate, Count, Element, Side, choose_name, orthonormal, read_lines
 from mast_datasets.traffic import TrafficScene, boxes_of, choose_frames, classes_of, listed_returns
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
@@ -62,14 +62,13 @@ class Calibration(NamedTuple):
 
 
 _Degrees = Annotated[float, Meta(ge=-180, le=180)]
-_Angle = Annotated[float, Meta(ge=-7, le=7)]  # rad
 #: Latitude, longitude, altitude, roll, pitch and yaw.
-_Pose = tuple[Annotated[float, Meta(ge=-89, le=89)], _Degrees, Coordinate, _Angle, _Angle, _Angle]
+_Pose = tuple[Annotated[float, Meta(ge=-89, le=89)], _Degrees, Coordinate, Angle, Angle, Angle]
 
 
 class _Label(Struct):
-    frame: Annotated[int, Meta(ge=0)]
-    track: Annotated[int, Meta(ge=0, le=10**9)]
+    frame: Count
+    track: Count
     type: Literal[tuple(CLASS_OF_TYPE)]  # type: ignore[valid-type]  # they are known when it runs
     occluded: Annotated[int, Meta(ge=-1, le=3)]
     height: Side
@@ -78,7 +77,7 @@ class _Label(Struct):
     x: Coordinate
     y: Coordinate
     z: Coordinate
-    rotation_y: Annotated[float, Meta(ge=-1e3, le=1e3)]
+    rotation_y: Angle
 
 
 def read_labels(path: Path, frames: int) -> CameraLabels:

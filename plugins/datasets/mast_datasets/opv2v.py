@@ -145,9 +145,11 @@ class OwnCar(NamedTuple):
 
 def own_cars(agents: Sequence[AgentFolder], poses: Poses) -> dict[int, OwnCar]:
     """The cars among the agents, by column, with their numbers as ids."""
-    columns = [column for column, agent in enumerate(agents) if not agent.is_pole]
-    places = {column: (poses.position[:, column], poses.rotation[:, column]) for column in columns}
-    return {column: OwnCar(agents[column].number, *place, agents[column].number) for column, place in places.items()}
+    return {
+        column: OwnCar(agent.number, poses.position[:, column], poses.rotation[:, column], agent.number)
+        for column, agent in enumerate(agents)
+        if not agent.is_pole
+    }
 
 
 def check_numbers(listed: Listed, cars: Sequence[OwnCar]) -> None:

@@ -13,7 +13,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from msgspec import Meta, Struct
 
-from mast_datasets.files import Coordinate, Element, Point, Size, entries, find_folder
+from mast_datasets.files import Coordinate, Count, Element, Point, Size, Whole, entries, find_folder
 from mast_datasets.traffic import classes_of
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
@@ -230,13 +230,9 @@ def file_of_frame(folder: Path, files: dict[int, Path], frame: int, ending: str 
     return files[frame]
 
 
-_Id = Annotated[int, Meta(ge=0, le=10**12)]
-_Count = Annotated[int, Meta(ge=0, le=2**31 - 1)]
-
-
 class _Visible(Struct):
-    object_id: _Id
-    visible_points: _Count
+    object_id: Whole
+    visible_points: Count
     category: str | None = None
 
 
@@ -282,7 +278,7 @@ def read_labels(content: Element, variant: Variant, agent: Poses | None, frame: 
     """
     listed, rows = content[variant.objects], []
     for key, each in listed.members() if listed.value else ():  # PyYAML may write none as null or []
-        number = Element(key, listed.path, each.place).read(_Id)
+        number = Element(key, listed.path, each.place).read(Whole)
         category = None if variant.category is None else category_key(each[variant.category].text())
         if category not in LEFT_OUT:
             kind = CLASS_INDEX["car"] if category is None else _CLASS_OF_CATEGORY.get(category, 0)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from msgspec import Meta
 
-from mast_datasets.files import Element, find_file, has_root
+from mast_datasets.files import Element, Seconds, find_file, has_root
 from mast_datasets.sumo_files import TraceRow, VehicleType, VehicleTypes, read_buildings, read_steps
 from mast_datasets.sumo_traffic import SUFFIXES, SumoTraffic
 from mast_datasets.traffic import TrafficScene, busiest_vehicle, check_times, ego_in_traffic, ground_below, near_route
@@ -21,7 +20,6 @@ from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
 from mast_zenoh.scenes.recording import Recording
 
 _MAX_ROWS = 2_000_000
-_Time = Annotated[float, Meta(ge=0, le=1e9)]  # s
 _LONGEST_DEFAULT_S = 20.0
 _GAP = 1.5  # a step of time longer than this many times the shortest is a gap
 _NS = 1_000_000_000
@@ -54,7 +52,7 @@ def read_trace(file: Path, types: VehicleTypes, start_s: float | None, duration_
     length = round((_LONGEST_DEFAULT_S if duration_s is None else duration_s) * _NS)
     first = last = None
     for time, rows in read_steps(file):
-        now = round(time.read(_Time) * _NS)
+        now = round(time.read(Seconds) * _NS)
         if last is not None and now <= last:
             time.fail(f"a time later than the one before, {last / _NS:g}")
         first, last = now if first is None else first, now

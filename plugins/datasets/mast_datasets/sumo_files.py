@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from msgspec import Meta, Struct
 
-from mast_datasets.files import Coordinate, Element, XmlElement, closed_outline, read_lines, read_xml
+from mast_datasets.files import Coordinate, Element, Side, Speed, XmlElement, closed_outline, read_lines, read_xml
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError
 
@@ -28,8 +28,6 @@ _ALIASES = {
 }
 _TIME = "timestep_time"
 
-_Side = Annotated[float, Meta(gt=0, le=1000)]  # m
-
 
 class TraceRow(Struct):
     """What a trace says of one object at one time, by SUMO's names; angle: degrees clockwise from north."""
@@ -39,12 +37,12 @@ class TraceRow(Struct):
     y: Coordinate
     angle: Annotated[float, Meta(ge=-360, le=720)]
     z: Annotated[float, Meta(ge=-1e5, le=1e5)] | None = None
-    speed: Annotated[float, Meta(ge=-200, le=200)] | None = None
+    speed: Speed | None = None
     type: str | None = None
     vehicle: str = ""
-    length: _Side | None = None
-    width: _Side | None = None
-    height: _Side | None = None
+    length: Side | None = None
+    width: Side | None = None
+    height: Side | None = None
 
 
 #: A time, and for each object whether it is a person, and what can be read as a `Row`.
@@ -200,7 +198,7 @@ def _read_types(files: Sequence[Path]) -> dict[str, VehicleType]:
             default = type_of_class(element.value.get("vClass", _DEFAULT_CLASS))
             values = [element.get(side) for side in ("length", "width", "height")]
             parts = zip(values, default.size, strict=True)
-            length, width, height = (value.read(_Side) if value else usual for value, usual in parts)
+            length, width, height = (value.read(Side) if value else usual for value, usual in parts)
             kind = VehicleType((length, width, height), default.class_id)
             if types.setdefault(name, kind) != kind:
                 element.refuse(f"vType {name!r} is already defined with another size or class, expected it once")

@@ -26,7 +26,7 @@ import msgpack
 import numpy as np
 from msgspec import Meta
 
-from mast_datasets.files import Element, XmlHandler, read_xml
+from mast_datasets.files import MAX_SIZE_M, Element, XmlHandler, read_xml
 from mast_datasets.sumo_files import VehicleType, type_of_class
 from mast_datasets.sumo_process import MAX_MESSAGE
 from mast_zenoh.arrays.states import Bools, Floats
@@ -224,7 +224,6 @@ _MAX_VEHICLES = 20_000  # at one time; the others wait
 _MAX_SHOWN = 600  # characters of SUMO's messages
 _MAX_COORDINATE_M = 1e8
 _MAX_SPEED = 200.0
-_MAX_SIZE_M = 1000.0  # of a vehicle: a train, at most
 #: s that requests may take, of which the first reads the network; and all others.
 _LIMITS_S, _STEP_S = {"start": 120, "advance": 600}, 60
 _GRACE_S = 5.0
@@ -343,8 +342,8 @@ class SumoSimulation:
         """
         answer = self.ask("step", steps, [tuple(move) for move in moves], dict(watched or {}))
         for name, (*size, vehicle_class) in answer["shapes"].items():
-            if not all(0.0 < length <= _MAX_SIZE_M for length in size):
-                expected = f"more than 0 and at most {_MAX_SIZE_M:g} m: see its vType"
+            if not all(0.0 < length <= MAX_SIZE_M for length in size):
+                expected = f"more than 0 and at most {MAX_SIZE_M:g} m: see its vType"
                 raise SceneError(f"{self._path}: {name}: found length, width and height {size}, expected {expected}")
             self.shapes[name] = VehicleType(tuple(size), type_of_class(vehicle_class).class_id)
         names = [*answer["vehicles"], *answer["persons"]]

@@ -23,8 +23,7 @@ from mast_zenoh.scenes.recording import SEEN_RETURNS
 from mast_zenoh.scenes.recording_file import check_counts
 from mast_zenoh.sensing import DetectionModel, Detector, lidar_points, sensor_pose
 
-#: Limits on one scene: a single object, and all of its boxes.
-MAX_SIZE_M = 200.0
+#: Limit on the boxes of one scene.
 MAX_BOXES = 5_000_000
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from msgspec import Meta
 
-from mast_datasets.files import Coordinate, Element, Side, read_json, read_listed_pose
+from mast_datasets.files import Coordinate, Element, Seconds, Side, Whole, read_json, read_listed_pose
 from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, classes_of, ground_below
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
@@ -74,8 +74,6 @@ class Coordinates:
         return current, position, rotation
 
 
-_Time = Annotated[float, Meta(ge=0, le=9e9)]  # s, to the year 2255; more nanoseconds are no 64 bit number
-_Number = Annotated[int, Meta(ge=0)]  # of a frame
 _Part = Annotated[float, Meta(ge=-2, le=2)]  # of a quaternion
 _Box = tuple[Coordinate, Coordinate, Coordinate, _Part, _Part, _Part, _Part, Side, Side, Side]
 _MAX_LENGTH_ERROR = 1e-3  # of a quaternion
@@ -158,13 +156,13 @@ def read_frames(folder: Path) -> list[LabelledFrame]:
 def _frames(file: Path) -> Iterator[LabelledFrame]:
     openlabel = read_json(file)["openlabel"]
     numbered = [
-        (Element(key.lstrip("0") or "0", file, "$.openlabel.frames").read(_Number), frame)
+        (Element(key.lstrip("0") or "0", file, "$.openlabel.frames").read(Whole), frame)
         for key, frame in openlabel["frames"].members()
     ]
     for _, frame in sorted(numbered, key=lambda item: item[0]):
         properties = frame["frame_properties"]
         # Microseconds, since a number of seconds since 1970 has no more digits than that.
-        time_ns = round(properties["timestamp"].read(_Time) * 1e6) * 1000
+        time_ns = round(properties["timestamp"].read(Seconds) * 1e6) * 1000
         yield LabelledFrame(time_ns, properties, Coordinates(openlabel, properties), frame.get("objects"))
 
 

@@ -13,7 +13,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from msgspec import Meta, Struct
 
-from mast_datasets.files import Element, Name, Point, Size, choose_name, read_json
+from mast_datasets.files import Angle, Element, Name, Point, Seconds, Size, choose_name, read_json
 from mast_datasets.traffic import DataSetScene, Labels, check_times, classes_of, ground_below
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
@@ -145,8 +145,6 @@ def read_av_size(files: Files, vehicle: str) -> Floats | None:
     return np.array(data["size"].read(Size)) if data else None
 
 
-_Angle = Annotated[float, Meta(ge=-1e4, le=1e4)]  # rad
-_Time = Annotated[float, Meta(ge=0, le=1e10)]  # s
 _MAX_TIME_ERROR_MS = 1
 
 #: Classes by type; all others are unknown.
@@ -165,9 +163,9 @@ class _Labelled(Struct):
 
     track_id: Name
     object_type: str
-    timestamps: list[_Time]
+    timestamps: list[Seconds]
     positions: list[Point]
-    orientations: list[_Angle]
+    orientations: list[Angle]
     dimensions: list[Size]
 
 

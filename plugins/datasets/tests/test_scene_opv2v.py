@@ -205,7 +205,7 @@ DAMAGES: list[tuple[type[Scene], Damage, str]] = [
     (OPV2VScene, value(FILE, "lidar_pose", [0.0] * 6), "lidar_pose is .* m from where"),
     (OPV2VScene, value("-3/000070.yaml", "lidar_pose", [0.0] * 6)._replace(file="-3"), ": the pole moves"),
     (OPV2VScene, value(FILE, "vehicles.9.extent", [0.0, 1.0, 1.0]), r"9\.extent\[0\]: .*, expected `float` > 0"),
-    (OPV2VScene, value(FILE, "vehicles.9.extent", [1e6, 1.0, 1.0]), r"9\.extent\[0\]: .*, expected `float` <= 200"),
+    (OPV2VScene, value(FILE, "vehicles.9.extent", [1e6, 1.0, 1.0]), r"9\.extent\[0\]: .*, expected `float` <= 1000"),
     (OPV2VScene, value(FILE, "vehicles.9.angle", [True, 0.0, 0.0]), r"9\.angle\[0\]: .*, expected `float`, got `str`"),
     (OPV2VScene, value(FILE, "vehicles.x", 1), r"vehicles\.x: found 'x', expected `int`"),
     (OPV2VScene, moved(3.0, "000070.yaml", ("6",)), "object 10 is 3.00 m from where agent 6 lists it"),

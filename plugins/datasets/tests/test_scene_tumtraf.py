@@ -204,7 +204,7 @@ def value(index: int, number: Any) -> Callable[[OpenLabel], object]:
         (put(first, cuboid={"val": [0.0] * 9}), "cuboid.val: found .*, expected `array` of length 10"),
         (value(2, 1e9), r"cuboid.val\[2\]: found .*, expected `float` <= 100000000"),
         (value(6, 2.0), r"cuboid.val: found .*, expected a quaternion x, y, z, w of length 1"),
-        (value(8, 1e4), r"cuboid.val\[8\]: found .*, expected `float` <= 200"),
+        (value(8, 1e4), r"cuboid.val\[8\]: found .*, expected `float` <= 1000"),
     ],
 )
 def test_a_damaged_frame_is_refused_with_file_place_and_reason(
