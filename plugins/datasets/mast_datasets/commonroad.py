@@ -106,9 +106,7 @@ class ScenarioFile(NamedTuple):
 def read_scenario(path: Path) -> ScenarioFile:
     """The scenario in a file. Raises SceneError with file, line and reason."""
     elements = files.read_xml(path, "commonRoad", _TAGS)
-    root = next(elements, None)
-    if root is None:
-        raise SceneError(f"{path}: found no element, expected <commonRoad>")
+    root = next(elements)
     root["commonRoadVersion"].text(_VERSIONS)
     step_s = root["timeStepSize"].read(Annotated[float, Meta(ge=1e-3, le=10)])
     name = root["benchmarkID"].text()

@@ -62,8 +62,9 @@ class Calibration(NamedTuple):
 
 
 _Degrees = Annotated[float, Meta(ge=-180, le=180)]
+_Radians = Annotated[float, Meta(ge=-7, le=7)]  # larger ones would be degrees
 #: Latitude, longitude, altitude, roll, pitch and yaw.
-_Pose = tuple[Annotated[float, Meta(ge=-89, le=89)], _Degrees, Coordinate, Angle, Angle, Angle]
+_Pose = tuple[Annotated[float, Meta(ge=-89, le=89)], _Degrees, Coordinate, _Radians, _Radians, _Radians]
 
 
 class _Label(Struct):

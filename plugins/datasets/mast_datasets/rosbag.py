@@ -91,11 +91,6 @@ class PoseEntry(TopicSource):
     yaw_deg: _Turn = 0.0
     pitch_deg: _Turn = 0.0
 
-    @cached_property
-    def fixed(self) -> FramePose:
-        """The pose of one that never moves."""
-        return FramePose(position=self.position, yaw_deg=self.yaw_deg, pitch_deg=self.pitch_deg)
-
 
 class Body(_MapEntry):
     """The box of an object whose pose is known: size m, class, and its middle m in the frame of the pose."""

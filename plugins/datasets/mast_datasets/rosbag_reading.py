@@ -33,7 +33,6 @@ from mast_zenoh.errors import ConfigurationError, MessageError, SceneError, near
 MAX_MESSAGES = 5_000_000
 _MAX_REMARKS = 20  # that are told apart, of one topic
 _MAX_DETECTED = 1000
-_MAX_OBJECTS = 20_000  # of a topic with lists, by their ids
 _MAX_NS = 2**61
 _UUID = re.compile("-?".join(f"[0-9a-fA-F]{{{count}}}" for count in (8, 4, 4, 4, 12)))
 _TYPES_OF_DETECTIONS = (type_store.DETECTIONS, type_store.DETECTED_OBJECTS)
@@ -398,8 +397,6 @@ class ObjectReader(TopicReader[TruthEntry]):
     def decoder(self, bag: str, connection: Connection, types: Fields) -> Decode:
         hint = "; an object with a pose needs `size` and `class`" if connection.msgtype in POSES else ""
         self._check_type(connection, _TYPES_OF_TRUTH, hint)
-        if self.source.chain:
-            self._fail(f"{connection.msgtype} has no use for `child`")
         for name in map(str, self.source.without):
             is_uuid = connection.msgtype == type_store.TRACKED_OBJECTS and _UUID.fullmatch(name)
             self._without.add(id_of_uuid(bytes.fromhex(name.replace("-", ""))) if is_uuid else id_of_text(name))
@@ -442,8 +439,6 @@ class ObjectReader(TopicReader[TruthEntry]):
         _, order = np.unique(np.stack([ids, times], axis=1), axis=0, return_index=True)  # by id, then by time
         if len(order) < len(ids):
             self._leave_out("an object at the time of another one with its id", len(ids) - len(order))
-        if (objects := len(np.unique(ids))) > _MAX_OBJECTS:
-            raise SceneError(f"{self.source.topic}: found {objects} objects, expected at most {_MAX_OBJECTS}")
         found = []
         for rows in np.split(order, np.flatnonzero(np.diff(ids[order])) + 1) if len(order) else []:
             rotation = np.stack([rotation_from_yaw(yaw) for yaw in values[rows, 3].tolist()])

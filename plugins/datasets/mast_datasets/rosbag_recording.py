@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mast_datasets.rosbag import AgentEntry, BagMap, Body, RosBag, TopicSource
+from mast_datasets.rosbag import AgentEntry, BagMap, Body, FramePose, RosBag, TopicSource
 from mast_datasets.rosbag_reading import (
     DetectionReader,
     ObjectReader,
@@ -127,7 +127,8 @@ class BagScene:
         """Poses of an agent at times (n,)."""
         if not agent.fixed:
             return self._tracks[agent.pose].at(times_ns, self._map.max_gap_ns)
-        count, pose = len(times_ns), agent.pose.fixed
+        count, entry = len(times_ns), agent.pose
+        pose = FramePose(position=entry.position, yaw_deg=entry.yaw_deg, pitch_deg=entry.pitch_deg)
         return PosesAt(np.tile(pose.origin, (count, 1)), np.tile(pose.rotation, (count, 1, 1)), np.ones(count, bool))
 
     def _agent_path(self, name: str, agent: AgentEntry, object_id: int) -> AgentPath:

@@ -234,17 +234,9 @@ _ALWAYS = (
 )
 
 
-class Move(NamedTuple):
-    """Where a car is moved.
-
-    car: its name;  edge, lane: of its route, and row of the lane;
-    places: x and y m of its front, and angle, degrees clockwise from north, after each step
-    """
-
-    car: str
-    edge: str
-    lane: int
-    places: Sequence[tuple[float, float, float]]
+#: Where a car is moved: its name, the edge of its route, the row of its lane; after each step x, y m of its front, and
+#: its angle, degrees clockwise from north.
+Move = tuple[str, str, int, Sequence[tuple[float, float, float]]]
 
 
 class Foe(NamedTuple):
@@ -264,11 +256,8 @@ class Foe(NamedTuple):
     is_inside: bool
 
 
-class RightOfWay(NamedTuple):
-    """What a car has to wait for: foes at the next junctions, and the states of the links at the ends of some lanes."""
-
-    foes: list[Foe]
-    signals: list[list[str]]
+#: What a car has to wait for: foes at the next junctions, and the states of the links at the ends of some lanes.
+RightOfWay = tuple[list[Foe], list[list[str]]]
 
 
 class Present(NamedTuple):
@@ -340,7 +329,7 @@ class SumoSimulation:
 
         moves: of cars that do not drive themselves;  watched: by car, the lanes of which `around` tells
         """
-        answer = self.ask("step", steps, [tuple(move) for move in moves], dict(watched or {}))
+        answer = self.ask("step", steps, list(moves), dict(watched or {}))
         for name, (*size, vehicle_class) in answer["shapes"].items():
             if not all(0.0 < length <= MAX_SIZE_M for length in size):
                 expected = f"more than 0 and at most {MAX_SIZE_M:g} m: see its vType"
@@ -396,7 +385,7 @@ class SumoSimulation:
 
 
 def _right_of_way(foes: list[Any], signals: list[list[str]]) -> RightOfWay:
-    return RightOfWay([Foe(*foe) for foe in foes], signals)
+    return [Foe(*foe) for foe in foes], signals
 
 
 def _end(process: subprocess.Popen[bytes], pipe: Connection) -> int | None:

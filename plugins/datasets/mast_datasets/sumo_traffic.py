@@ -16,7 +16,7 @@ import numpy as np
 from mast_datasets.files import find_file
 from mast_datasets.sumo_files import read_buildings
 from mast_datasets.sumo_lanes import HORIZON_M, Priority, StopLine, SumoLane, Way, way_from
-from mast_datasets.sumo_simulation import Move, Present, SumoInputs, SumoSimulation, read_configuration
+from mast_datasets.sumo_simulation import Present, SumoInputs, SumoSimulation, read_configuration
 from mast_datasets.traffic import DataSetScene
 from mast_zenoh.arrays.geometry import rotation_from_yaw, wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
@@ -193,7 +193,7 @@ class SumoWorld(SteppedWorld):
                 places.append((*driven.front(length).tolist(), 90.0 - float(np.degrees(driven.heading))))
             self._advance(car, driven.front(length), driven.speed)
             ride = self._rides[car]
-            moves.append(Move(self._vehicles[car], *ride.way.lane_at(ride.front), places))
+            moves.append((self._vehicles[car], *ride.way.lane_at(ride.front), places))
             if car in self._priority:
                 watched[self._vehicles[car]] = [line.lane for line in ride.lines]
         self._present = self._simulation.step(self._steps, moves, watched)
@@ -385,7 +385,7 @@ class SumoTraffic(DataSetScene):
 
     def record(self, seed: int, frames: int | None) -> Recording:
         frames = self._frames(frames)
-        with contextlib.closing(self._world(seed, frames)) as world:
+        with contextlib.closing(self.world(seed, frames)) as world:
             moments = [world.moment()]
             for _ in range(frames - 1):
                 world.step({})
@@ -393,9 +393,6 @@ class SumoTraffic(DataSetScene):
         whole = world.world_of(moments)
         points = lidar_visibility(whole)
         return make_recording(whole, points, *detect(whole, points, self.detector, seed))
-
-    def world(self, seed: int, frames: int | None) -> SteppedWorld:
-        return self._world(seed, self._frames(frames))
 
     def _frames(self, frames: int | None) -> int:
         frames = round(_WINDOW_S * self.rate_hz) if frames is None else frames
@@ -411,7 +408,8 @@ class SumoTraffic(DataSetScene):
     def _configuration(self) -> Path:
         return find_file(self.root, "configurations of SUMO", lambda file: file.name.endswith(SUFFIXES))
 
-    def _world(self, seed: int, frames: int) -> SumoWorld:
+    def world(self, seed: int, frames: int | None) -> SumoWorld:
+        frames = self._frames(frames)
         inputs = read_configuration(self._configuration())
         if self.scale is not None:
             inputs = inputs._replace(options={**inputs.options, "scale": f"{self.scale:g}"})

@@ -6,7 +6,6 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -145,8 +144,6 @@ def read_av_size(files: Files, vehicle: str) -> Floats | None:
     return np.array(data["size"].read(Size)) if data else None
 
 
-_MAX_TIME_ERROR_MS = 1
-
 #: Classes by type; all others are unknown.
 CLASS_OF_TYPE = classes_of(
     car="Car Van",
@@ -188,7 +185,7 @@ def read_tracks(path: Path, times_ms: list[int]) -> dict[str, Track]:
 
     times_ms: of the scene's frames; a label at another time is refused. Raises SceneError.
     """
-    frame_at = {time + error: row for row, time in enumerate(times_ms) for error in _errors(times_ms)}
+    frame_at = {time: row for row, time in enumerate(times_ms)}
     tracks: dict[str, Track] = {}
     for element in read_json(path)["tracks"].elements():
         labels: _Labelled = element.read(_Labelled)
@@ -196,13 +193,6 @@ def read_tracks(path: Path, times_ms: list[int]) -> dict[str, Track]:
             element["track_id"].fail("an id that no other track has")
         tracks[str(labels.track_id)] = _track(element, labels, frame_at)
     return tracks
-
-
-def _errors(times_ms: list[int]) -> range:
-    """The errors of a time, ms, that are less than half a period."""
-    period = min((later - earlier for earlier, later in pairwise(times_ms)), default=100)
-    error = min(_MAX_TIME_ERROR_MS, (period - 1) // 2)
-    return range(-error, error + 1)
 
 
 def _track(element: Element, labels: _Labelled, frame_at: Mapping[int, int]) -> Track:

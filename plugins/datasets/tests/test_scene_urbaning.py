@@ -194,7 +194,7 @@ def item(name: str, row: int, new: Any) -> Damage:
         (tracks(lambda c: other_track(c)["orientations"].pop()), "orientations: found .*, expected a list of 12"),
         (item("positions", 2, [1.0, 2.0, 1e12]), r"positions\[2\]\[2\]: found .*, expected `float` <= 100000000"),
         (other(dimensions=[[4, 2, 1.5]] * 2), "dimensions: found .*, expected a list of 12"),
-        (other(dimensions=[[4, 2, 900]]), r"dimensions\[0\]\[2\]: found .*, expected `float` <= 200"),
+        (other(dimensions=[[4, 2, 9000]]), r"dimensions\[0\]\[2\]: found .*, expected `float` <= 1000"),
         (tracks(lambda content: own_track(content)["positions"].__setitem__(2, SHIFT.tolist())), "of vehicle1 in"),
         (value(CALIBRATION, "vehicle2_middle_lidar", GONE), "found 0 sensors vehicle2_…_lidar, expected one"),
         (value(CALIBRATION, "crossing2_11_lidar.extrinsics", {}), "crossing2_11_lidar.extrinsics: gTl is missing"),
