@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fuzzing import Fuzzing
 from plain_values import from_plain
 from uper_oracle import decode_values
 from v2x_messages import MessageMaker, damaged
@@ -57,8 +58,8 @@ def test_no_damaged_message_crashes_or_passes_silently(layout):
 
 @pytest.mark.heavy
 @of_both
-def test_no_damaged_message_of_many_crashes_or_passes_silently(layout):
-    play_damages(layout, 50_000, 3)
+def test_no_damaged_message_of_many_crashes_or_passes_silently(layout, fuzzing: Fuzzing):
+    play_damages(layout, fuzzing.draws(10_000, 50_000), 3)
 
 
 @pytest.mark.skipif(not kernels.COMPILED, reason="no kernels were compiled here (no C compiler?)")
