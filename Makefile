@@ -33,7 +33,8 @@ test-all: test .venv/ros2/ready .venv/sumo
 # Random draws, many more than `make test-all` makes; `make fuzz SEED=7` repeats those of an earlier run with that seed.
 DRAWN := tests/runtime/test_malformed_input.py tests/mesh/test_malformed_control.py tests/simulation tests/testing \
 	tests/runtime/test_any_order.py tests/faults tests/scenes/test_driven_traffic.py tests/evaluation/test_shipped_scenarios.py \
-	tests/launch/test_exit_paths.py tests/v2x/test_malformed_messages.py
+	tests/launch/test_exit_paths.py tests/v2x/test_malformed_messages.py \
+	plugins/datasets/tests/test_all_readers.py plugins/ros2/tests/test_ros2_hostile.py
 fuzz: SEED ?= $(shell $(PYTHON) -c 'import random; print(random.randrange(1 << 24))')
 fuzz: .venv/ready
 	$(PYTEST) --fuzz --fuzz-seed $(SEED) --timeout 3600 $(DRAWN)

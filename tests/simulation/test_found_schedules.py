@@ -66,14 +66,26 @@ def test_a_schedule_that_once_broke_a_promise_breaks_none(plant, name, schedule,
     assert check(worlds[name], schedule), f"this schedule no longer shows the bug: {plant.__doc__}"
 
 
+#: Numbers of the schedules that show bugs which take long to find: these are tried first.
+SHOWN_BY: dict[Plant, int] = {
+    bugs.counts_of_an_older_epoch_are_taken: 351,
+    bugs.listeners_are_not_waited_for_before_a_change: 156,
+    bugs.the_wiring_changes_before_all_are_ready: 221,
+    bugs.all_nodes_begin_with_the_planned_wiring: 392,
+    bugs.dropped_messages_are_not_counted: 101,
+    bugs.a_stop_signal_waits_for_no_results: 158,
+    bugs.the_last_exit_is_not_handled: 252,
+}
+
+
 @pytest.mark.heavy
 @pytest.mark.parametrize("plant", PLANTS, ids=lambda plant: plant.__name__)
 def test_a_planted_bug_is_found(plant, worlds, monkeypatch) -> None:
     plant(monkeypatch)
-    names = cycle(PLANTS[plant])
-    assert any(find(worlds[name], [seed]) for seed, name in zip(range(ENOUGH_SEEDS), names, strict=False)), (
-        plant.__doc__
-    )
+    worlds_of_seeds = zip(range(ENOUGH_SEEDS), cycle(PLANTS[plant]), strict=False)
+    known = SHOWN_BY.get(plant)
+    likely_first = sorted(worlds_of_seeds, key=lambda pair: pair[0] != known)
+    assert any(find(worlds[name], [seed]) for seed, name in likely_first), plant.__doc__
 
 
 def test_a_schedule_with_which_a_promise_is_broken_is_simplified(worlds, monkeypatch) -> None:

@@ -17,6 +17,7 @@ import rosbag_writer
 import sumo_writer
 from comparison import junction
 from damages import DAMAGE, damaged
+from fuzzing import Fuzzing
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from layouts import TWINS
@@ -99,10 +100,9 @@ def test_agents_that_the_data_does_not_have_are_refused(twins: dict[str, Path]) 
                     scene(name, path, **{option: count}).record(0, None)
 
 
-@pytest.mark.parametrize("count", [15, pytest.param(100, marks=pytest.mark.heavy)])
 @pytest.mark.parametrize("name", [*TWINS, *LAYOUTS])
-def test_a_damaged_file_is_read_or_refused(name: str, count: int, twins: dict[str, Path]) -> None:
-    @settings(max_examples=count, deadline=None)
+def test_a_damaged_file_is_read_or_refused(name: str, twins: dict[str, Path], fuzzing: Fuzzing) -> None:
+    @settings(max_examples=fuzzing.draws(15, 100), deadline=None)
     @given(data=st.data())
     def check(data: st.DataObject) -> None:
         read_damaged(name, twins[name], data)

@@ -337,7 +337,7 @@ def test_the_post_encroachment_time_is_that_of_sumos_own_device(
     assert -0.01 < ours["min_pet_s"] - min(extremes(theirs, "north", "PET")) < 0.21
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_damaged_network_is_simulated_or_refused(crossing: Path, data: st.DataObject) -> None:
     files = sorted(crossing.parent.iterdir())

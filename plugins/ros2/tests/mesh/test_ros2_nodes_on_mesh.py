@@ -26,7 +26,6 @@ from mast_zenoh.run_folder.recording.reader import read
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 QUIET = Path(__file__).parents[4] / "tests" / "support" / "live" / "quiet.py"
-PLACES = {"agent": ("tracks", AGENT), "center": ("echo", CENTER), "adversary": ("raise", ADVERSARY)}
 
 
 @pytest.fixture(scope="module")
@@ -49,11 +48,10 @@ def counts(folder: Path) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize("place", PLACES)
-def test_runs_with_nodes_of_ros_are_the_same_on_the_mesh_and_in_one_process(router, tmp_path, place) -> None:
-    resolved = with_ros2(place, router, record=True)
-    behaviour, topics = PLACES[place]
-    with Ros2Process(behaviour, router, *topics):
+def test_runs_with_nodes_of_ros_are_the_same_on_the_mesh_and_in_one_process(router, tmp_path) -> None:
+    """Other places are played in one process, see test_ros2_runs."""
+    resolved = with_ros2("adversary", router, record=True)
+    with Ros2Process("raise", router, *ADVERSARY):
         mesh = played(resolved, tmp_path / "mesh")
         alone = played(resolved, tmp_path / "alone", runtime="inproc")
     assert_equal(mesh, alone)
@@ -61,32 +59,27 @@ def test_runs_with_nodes_of_ros_are_the_same_on_the_mesh_and_in_one_process(rout
     assert (counts(mesh)["answered"], counts(mesh)["refused"]) == (12, {})
 
 
-@pytest.mark.parametrize("place", PLACES)
-def test_a_recorded_run_is_replayed_without_ros(router: str, tmp_path: Path, place: str) -> None:
-    behaviour, topics = PLACES[place]
-    with Ros2Process(behaviour, router, *topics):
-        recorded = played(with_ros2(place, router, record=True), tmp_path / "run", runtime="inproc")
+def test_a_recorded_run_is_replayed_without_ros(router: str, tmp_path: Path) -> None:
+    with Ros2Process("echo", router, *CENTER):
+        recorded = played(with_ros2("center", router, record=True), tmp_path / "run", runtime="inproc")
     prepared = replay.resolve(recorded)
     again = played(prepared.resolved, tmp_path / "again", runtime="inproc")
     ours, theirs = (json.loads((folder / "metrics.json").read_text()) for folder in (recorded, again))
     assert ours["agents"]["ego"]["picture"] == theirs["agents"]["ego"]["picture"]
 
 
-@pytest.mark.parametrize("place", PLACES)
-def test_in_real_time_a_quick_node_of_ros_is_in_time(router: str, tmp_path: Path, place: str) -> None:
-    behaviour, topics = PLACES[place]
-    with Ros2Process(behaviour, router, *topics):
-        folder = played(with_ros2(place, router, mode="realtime", record=True), tmp_path / "run")
+def test_in_real_time_a_quick_node_of_ros_is_in_time(router: str, tmp_path: Path) -> None:
+    with Ros2Process("echo", router, *CENTER):
+        folder = played(with_ros2("center", router, mode="realtime", record=True), tmp_path / "run")
     found = counts(folder)
     assert found["asked"] == 12
     assert found["answered"] + found["late"] > 0
-    for key in ("agent/infra_1/tracks", "cc/picture")[place == "agent" :]:
+    for key in ("agent/infra_1/tracks", "cc/picture"):
         frames = [message.frame for message in read(folder) if message.key == key]
         assert sorted(frames) == [*range(12)], "one message a frame"
 
 
-@pytest.mark.parametrize("place", PLACES)
-def test_with_tls_on_both_meshes_and_certificates_on_both_sides(tmp_path: Path, place: str) -> None:
+def test_with_tls_on_both_meshes_and_certificates_on_both_sides(tmp_path: Path) -> None:
     """The run has its own authority; that of the router of ROS is another one."""
     authority = Authority("ros")
     settings = router_settings("mtls", authority.issue("router", ["127.0.0.1"]))
@@ -98,9 +91,8 @@ def test_with_tls_on_both_meshes_and_certificates_on_both_sides(tmp_path: Path, 
         assert path is not None
         path.write_bytes(content)
     ros2 = {"router": endpoint, "tls": {"ca": str(tls.ca), "certificate": str(tls.certificate), "key": str(tls.key)}}
-    behaviour, topics = PLACES[place]
-    with Ros2Process(behaviour, endpoint, *topics, tls=tls):
-        folder = played(with_ros2(place, endpoint, ros2=ros2), tmp_path / "run", secure="mtls")
+    with Ros2Process("tracks", endpoint, *AGENT, tls=tls):
+        folder = played(with_ros2("agent", endpoint, ros2=ros2), tmp_path / "run", secure="mtls")
     session.close()
     assert counts(folder)["answered"] == 12
 
