@@ -89,7 +89,7 @@ def faulty(folder: Path, **times: tuple[float, float]) -> str:
 
 
 def test_a_node_that_is_paused_and_later_disconnected_is_silent_and_returns(up, tmp_path: Path) -> None:
-    run = up(faulty(tmp_path, Pause=(0.7, 1.2), Unplug=(2.0, 5.0)), "--mode", "realtime", "--frames", "90")
+    run = up(faulty(tmp_path, Pause=(0.7, 1.2), Unplug=(2.0, 5.0)), "--mode", "realtime", "--frames", "110")
     record = ended(run)
     assert [step["action"] for step in record["steps"]] == ["pause", "resume", "disconnect", "connect"]
     assert record["nodes"]["infra_1"]["exit"] == 0
@@ -97,7 +97,7 @@ def test_a_node_that_is_paused_and_later_disconnected_is_silent_and_returns(up, 
     frames = {message.frame for message in read(run.out / "messages.mcap") if message.key == "agent/infra_1/tracks"}
     assert {5, 18} < frames, "before"
     assert not frames & set(range(30, 45)), "the link is cut"
-    assert max(frames) >= 85, "it reconnects by itself and rejoins at the current frame"
+    assert max(frames) >= 105, "it reconnects by itself and rejoins at the current frame"
     checks = json.loads((run.out / "checks.json").read_text())["checks"]
     failed = [check for check in checks if not check["ok"]]
     # If the machine stands still for a moment, the router drops messages in real time: the check of sequences says it.

@@ -8,6 +8,7 @@ from mast_zenoh.config import bundle, loading
 #: By name, variants with other settings; other scenarios are played unchanged.
 VARIANTS: dict[str, list[tuple[str, ...]]] = {
     "uncoordinated": [("fraction_translations=0.3",)],
+    "congested": [("n_mobile=6",)],
     "coordinated": [("fraction_translations=0.3", "reselect_every_s=1.5")],
     "realistic_network": [
         ("attack=none",),
