@@ -10,8 +10,6 @@ import mast_zenoh as mast
 from mast_zenoh.attacks.adaptive import AdaptiveAttack
 
 FRAMES, START_S = 150, 3.0
-#: (junction, seed) of the runs.
-RUNS = ((8, 2000), (9, 2003))
 
 
 class Outcome(NamedTuple):
@@ -24,12 +22,9 @@ class Outcome(NamedTuple):
 
 
 @cache
-def played(attack: type[AdaptiveAttack] | None, liars: int, defence: str, run: tuple[int, int], **more: Any) -> Outcome:
+def played(attack: type[AdaptiveAttack] | None, liars: int, junction: int, seed: int, **more: Any) -> Outcome:
     """One run of `defence_cell` with liars among its five agents; attack None: without any."""
-    junction, seed = run
     kind = dict(type=f"{getfile(attack)}:{attack.__name__}", **more) if attack else "uncoordinated"
-    # Undefended is without the input limit, too, which alone takes away half of a swarm.
-    limit = {"broker.input_limit": dict(type="NoInputLimit")} if defence == "NoIntegrity" else {}
     with TemporaryDirectory() as folder:
         metrics = mast.run(
             "defence_cell",
@@ -39,14 +34,13 @@ def played(attack: type[AdaptiveAttack] | None, liars: int, defence: str, run: t
             record=False,
             scene="intersection",
             scene_index=junction,
-            defence=defence,
+            defence="FaultOrLie",
             attack=kind,
             attack_start_s=START_S,
             n_adversaries=liars,
             placement="random",
             placement_seed=seed,
             placement_frames=FRAMES,
-            **limit,
         ).summary
     picture = metrics["agents"]["ego"]["picture"]
     agents = metrics.get("integrity", {}).get("agents", {})
@@ -58,7 +52,7 @@ def played(attack: type[AdaptiveAttack] | None, liars: int, defence: str, run: t
     )
 
 
-def harm(attack: type[AdaptiveAttack], liars: int, defence: str, run: tuple[int, int], **more: Any) -> float:
-    """Missed and false objects a frame, over those of the same run with the same defence and without liars."""
-    attacked, honest = played(attack, liars, defence, run, **more), played(None, 0, defence, run)
+def harm(attacked: Outcome, junction: int, seed: int) -> float:
+    """Missed and false objects a frame, over those of the same run without liars."""
+    honest = played(None, 0, junction, seed)
     return attacked.missed + attacked.false - honest.missed - honest.false

@@ -33,8 +33,10 @@ TOPICS: Mapping[str, str] = {
     "/cc/picture/predicted_objects": type_store.PREDICTED_OBJECTS,
     "/scene/truth/tracked_objects": type_store.TRACKED_OBJECTS,
 }
+#: Few agents: what a bridge does is the same with more.
+COORDINATED = ("coordinated", "--set", "n_infrastructure=2", "--set", "n_adversaries=1")
 #: 20 frames a second.
-REAL_TIME = ("coordinated", "--mode", "realtime", "--rate", "2")
+REAL_TIME = (*COORDINATED, "--mode", "realtime", "--rate", "2")
 #: A router that waits longer for a peer than the peer stalls in these tests.
 PATIENT = {"transport/link/tx/queue/congestion_control/block/wait_before_close": 60_000_000}
 
@@ -136,7 +138,7 @@ def assert_leaves_no_layouts(output: str) -> None:
 @pytest.mark.parametrize("signals", [1, 2])
 def test_an_interrupt_ends_a_run_and_its_bridge_also_if_that_is_stuck(signals: int, launch: Launch) -> None:
     with ros2_router() as router:
-        run = launch("coordinated", "--frames", "2000", *settings_of(router))
+        run = launch(*COORDINATED, "--frames", "2000", *settings_of(router))
         run.at_frame(5)
         (bridge,) = [child for child in psutil.Process(run.process.pid).children() if "ros2" in child.cmdline()]
         bridge.suspend()
@@ -151,7 +153,7 @@ def test_an_interrupt_ends_a_run_and_its_bridge_also_if_that_is_stuck(signals: i
 @pytest.mark.heavy
 def test_a_run_whose_bridge_is_killed_says_since_when_it_had_none(launch: Launch) -> None:
     with ros2_router() as router:
-        run = launch("coordinated", "--frames", "150", *settings_of(router))
+        run = launch(*COORDINATED, "--frames", "150", *settings_of(router))
         run.at_frame(5)
         (bridge,) = [child for child in psutil.Process(run.process.pid).children() if "ros2" in child.cmdline()]
         bridge.kill()
@@ -166,7 +168,7 @@ def test_a_run_whose_bridge_is_killed_says_since_when_it_had_none(launch: Launch
 def test_a_scenario_can_ask_for_every_frame_in_lock_step(launch: Launch, client_of: Any) -> None:
     with ros2_router() as router:
         client = client_of(router)
-        run = launch("coordinated", "--frames", "20", "--set", "ros2.every_frame=true", *settings_of(router))
+        run = launch(*COORDINATED, "--frames", "20", "--set", "ros2.every_frame=true", *settings_of(router))
         assert sent(run.ended()) == 20
         assert_recorded(client, run.out, 20)
 
@@ -175,7 +177,7 @@ def test_a_scenario_can_ask_for_every_frame_in_lock_step(launch: Launch, client_
 def test_in_lock_step_the_newest_frames_are_sent_at_a_pace_that_costs_little(launch: Launch, client_of: Any) -> None:
     with ros2_router() as router:
         client = client_of(router)
-        run = launch("coordinated", "--frames", "80", *settings_of(router))
+        run = launch(*COORDINATED, "--frames", "80", *settings_of(router))
         output = run.ended()
         number = sent(output)
         assert 0 < number < 80
@@ -195,7 +197,7 @@ def test_in_lock_step_the_newest_frames_are_sent_at_a_pace_that_costs_little(lau
 def test_a_running_run_can_be_bridged_later_with_every_frame(launch: Launch, client_of: Any) -> None:
     with ros2_router() as router:
         client = client_of(router)
-        run = launch("coordinated", "--frames", "80")
+        run = launch(*COORDINATED, "--frames", "80")
         record = run.at_frame(5)
         broker = psutil.Process(record["nodes"]["broker"]["pid"])
         broker.suspend()  # the run waits for it
@@ -225,7 +227,7 @@ def test_a_running_run_can_be_bridged_later_with_every_frame(launch: Launch, cli
 
 @pytest.mark.heavy
 def test_without_a_router_of_ros_the_run_goes_on_and_says_so(launch: Launch) -> None:
-    output = launch("coordinated", "--frames", "10", *settings_of("tcp/127.0.0.1:9")).ended()
+    output = launch(*COORDINATED, "--frames", "10", *settings_of("tcp/127.0.0.1:9")).ended()
     assert "tcp/127.0.0.1:9: nothing answers there (Connection refused), expected a router of rmw_zenoh" in output
     assert "warning: the bridge to ROS 2 has ended with exit code 26: the run had none" in output
 
