@@ -23,17 +23,6 @@ def small(frames: int = 5, **run: object) -> Resolved:
     return scenario.resolve(path, loaded, frames=frames, record=True, **run)
 
 
-def test_a_run_with_remote_nodes_equals_the_one_in_one_process(tmp_path: Path) -> None:
-    resolved = small()
-    here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
-    there = launcher.run(resolved, tmp_path / "there", engine=Beside(), secure="acl")
-    assert there.error is None
-    assert_equal(here.folder, there.folder)
-    for node in there.record["nodes"].values():
-        assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "both use the same clock"
-        assert node["versions"]["numpy"] == there.record["versions"]["numpy"]
-
-
 def test_a_node_of_another_version_is_refused_and_both_versions_are_named(tmp_path: Path) -> None:
     other = Beside({"ego": "remote_node.version.version_string = lambda: '0.0.9 (sources beef)'"})
     outcome = launcher.run(small(), tmp_path / "run", engine=other)
@@ -122,12 +111,15 @@ ENDS_WITH_ITS_RESULTS = (
 )
 
 
-def test_a_node_that_has_handed_in_its_results_has_handed_in_all_its_files(tmp_path: Path) -> None:
+def test_a_run_with_remote_nodes_that_end_with_their_results_equals_the_one_in_one_process(tmp_path: Path) -> None:
     resolved = small()
     here = launcher.run(resolved, tmp_path / "here", runtime="inproc")
-    there = launcher.run(resolved, tmp_path / "there", engine=Beside({"recorder": ENDS_WITH_ITS_RESULTS}))
+    there = launcher.run(resolved, tmp_path / "there", engine=Beside({"recorder": ENDS_WITH_ITS_RESULTS}), secure="acl")
     assert there.error is None
     assert_equal(here.folder, there.folder)
+    for node in there.record["nodes"].values():
+        assert abs(node["clock"]["offset_ms"]) <= node["clock"]["round_trip_ms"], "both use the same clock"
+        assert node["versions"]["numpy"] == there.record["versions"]["numpy"]
 
 
 def test_arrival_times_on_a_clock_that_is_ahead_are_corrected() -> None:

@@ -39,15 +39,14 @@ def credentials(record: dict) -> list[Path]:
     return folders
 
 
-@pytest.mark.parametrize("level", ["tls", "acl"])
-def test_a_secure_run_equals_the_open_one_exactly(launch, tmp_path: Path, level: str) -> None:
+def test_a_secure_run_equals_the_open_one_exactly(launch, tmp_path: Path) -> None:
     plain = run_alone(tmp_path / "plain", *WHAT, frames=int(FRAMES), record=True)
     settings = [word for setting in WHAT[1:] for word in ("--set", setting)]
-    run: Launched = launch(WHAT[0], "--frames", FRAMES, "--secure", level, *settings)
+    run: Launched = launch(WHAT[0], "--frames", FRAMES, "--secure", *settings)
     folders = credentials(run.started())
     run.ended()
     assert_equal(plain, run.out)
-    assert run.record()["security"] == level
+    assert run.record()["security"] == "acl"
     assert run.record()["endpoint"].startswith("tls/")
     assert all(not node["foreign"] and not node["rejected"] for node in run.record()["nodes"].values())
     assert len(set(folders)) == len(folders)
