@@ -42,7 +42,7 @@ from mast_zenoh.show.tables.study_rows import (
     unchanged,
     value,
 )
-from mast_zenoh.show.tables.text_table import DASH, TextTable, csv_text, digits, number, wrapped
+from mast_zenoh.show.tables.text_table import DASH, ResultTables, TextTable, csv_text, digits, number, wrapped
 
 _ALL = "all"
 _WRONG = {"fp": "false objects", "fn": "missed objects"}
@@ -76,6 +76,7 @@ def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) 
 
 
 _TO_OTHER_SCENES = "The same means, with the 95 % interval to other scenes drawn like these, and other seeds."
+_PER_FRAME = "Mean and standard deviation over the frames of all trials; below, the mean over seeds and its interval."
 _SCORED = "FN, FP, TP: objects per frame missed, false and matched. Mean and 95 % interval over seeds."
 
 
@@ -256,24 +257,19 @@ def as_markdown(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
     """All tables as Markdown, failed trials first; ends with a newline."""
     rows, facts = titled(rows, facts)
     comparisons = compare(rows, facts.baseline)
-    page = [f"# {facts.name}", ""]
+    sentences = [*_sentences(rows, facts, comparisons), comparisons_made(comparisons)]
     if facts.failed:
         cells = [[f.configuration, f.scene, str(f.seed), f.error, f"`{f.command}`"] for f in facts.failed]
         failed = TextTable("", "", ["", "scene", "seed", "error", "run it alone"], cells, 5)
-        page += [f"## {facts.failures}", "", failed.markdown(), ""]
-    for sentence in (*_sentences(rows, facts, comparisons), comparisons_made(comparisons)):
-        page += [sentence, ""]
-    for table in sections(rows, facts.baseline, comparisons):
-        page += [f"## {table.title}", "", *([table.about, ""] if table.about else []), table.markdown(), ""]
-    return "\n".join(page)
+        sentences = [f"## {facts.failures}", failed.markdown(), *sentences]
+    tables = sections(rows, facts.baseline, comparisons)
+    return ResultTables(facts.name, "\n\n".join(sentences), facts.size, tables, ((), ()), []).as_markdown()
 
 
 #: The numbers of an estimate in table.csv: heading and field.
 _NUMBERS = {"mean": "mean", "std_over_frames": "std", "mean_over_trials": "value"} | {
     name: name for name in ("low", "high", "scenes_low", "scenes_high", "p", "zero_share", "zero_low", "zero_high")
 }
-
-_MARK = "* differs significantly from 0 after Holm's correction"
 
 
 def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
@@ -301,48 +297,20 @@ def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
 
 
 def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
-    """LaTeX tabulars with intervals below: the paper's increments, then all metrics of each estimate."""
+    """The paper's increments, then all metrics of each estimate: over frames, and below over trials."""
     rows, facts = titled(rows, facts)
-    columns, comparisons = columns_of(PAPER), compare(rows, facts.baseline)
-    groups = " & ".join(rf"\multicolumn{{{len(columns_of_group)}}}{{c}}{{{name}}}" for name, columns_of_group in PAPER)
-    size = facts.size.replace("\u00d7", "x")
-    warning = MOSTLY_ZERO if any(column.of(row).mostly_zero for row in rows for column in columns) else ""
-    comments = ["mean and std over the frames of all trials; below, mean over seeds [95 % interval], paired", size]
-    lines = [
-        *(
-            f"% {comment}"
-            for comment in (r"needs \usepackage{booktabs}", *comments, _MARK, warning, facts.failures)
-            if comment
-        ),
-        *_tabular(
-            [rf" & {groups} \\", " & " + " & ".join(_short(column.heading) for column in columns) + r" \\"],
-            [row for row in rows if row.label != facts.baseline],
-            columns,
-            lambda row, column: "^{*}" if comparisons.remains(row, column) else "",
-        ),
+    attacked = [row for row in rows if row.label != facts.baseline]
+    paper = _paper(difference_title(rows, facts.baseline), attacked, compare(rows, facts.baseline))
+    every = [
+        _table(f"{name}: all metrics", _PER_FRAME, ((name, (*scores, *_of_users(rows, scores))),), rows, _both_spreads)
+        for name, scores in ALL_SCORES
     ]
-    for name, scores in ALL_SCORES:
-        of_estimate = [*scores, *_of_users(rows, scores)]
-        if any(column.of(row).seeds for row in rows for column in of_estimate):
-            heading = " & " + " & ".join(_tex(column.heading) for column in of_estimate) + r" \\"
-            lines += ["", f"% {name}: all metrics", *_tabular([heading], rows, of_estimate, lambda row, column: "")]
-    return "\n".join([*lines, ""])
+    size = "; ".join(filter(None, (facts.size, facts.failures)))
+    return ResultTables(facts.name, "", size, [each for each in (paper, *every) if each.lines], ((), ()), []).as_latex()
 
 
-def _tabular(
-    headings: Sequence[str],
-    rows: Sequence[StudyRow],
-    columns: Sequence[StudyColumn],
-    mark: Callable[[StudyRow, StudyColumn], str],
-) -> list[str]:
-    """The lines of a tabular with two lines for each row: over frames, and over trials."""
-    lines = [r"\begin{tabular}{l" + "r" * len(columns) + "}", r"\toprule", *headings, r"\midrule"]
-    for row in rows:
-        frame_cells = [_tex(over_frames(column.of(row))) + mark(row, column) for column in columns]
-        trial_cells = [_tex(over_trials(column.of(row))) for column in columns]
-        for label, texts in ((row.label, frame_cells), ("", trial_cells)):
-            lines.append(" & ".join([_tex(label), *(f"${text}$" for text in texts)]) + r" \\")
-    return [*lines, r"\bottomrule", r"\end{tabular}"]
+def _both_spreads(row: StudyRow, column: StudyColumn) -> str:
+    return f"{over_frames(column.of(row))}\n{over_trials(column.of(row))}"
 
 
 def _of_users(rows: Sequence[StudyRow], scores: Sequence[StudyColumn]) -> list[StudyColumn]:
@@ -362,26 +330,3 @@ def _of_users(rows: Sequence[StudyRow], scores: Sequence[StudyColumn]) -> list[S
 def _units(rows: Sequence[StudyRow]) -> dict[str, str]:
     """What follows the names of users' metrics: ` (objects)`."""
     return {name: f" ({about['unit']})" for row in rows for name, about in row.own.items() if about.get("unit")}
-
-
-def _short(heading: str) -> str:
-    """A heading without its group's name ("IoE"); CA headings stay whole ("CAFN IoB")."""
-    kind, reference = heading.split()
-    return heading if kind.startswith("CA") else reference
-
-
-def _tex(text: str) -> str:
-    """Text escaped for LaTeX."""
-    for character, replacement in (
-        ("\u2212", "-"),
-        ("±", r"\pm"),
-        (DASH, r"\mbox{--}"),
-        ("all equal", r"\mbox{all equal}"),
-        ("(0 in ", r"(0 \mbox{ in } "),
-        ("_", r"\_"),
-        ("\u00b0", r"$^\circ$"),
-        ("%", r"\%"),
-        ("&", r"\&"),
-    ):
-        text = text.replace(character, replacement)
-    return text

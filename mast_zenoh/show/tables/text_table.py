@@ -194,11 +194,14 @@ class ResultTables(NamedTuple):
         size = self.size.replace("\u00d7", "x")
         parts = [
             r"% needs \usepackage{booktabs}",
-            f"% brackets: 95 % interval over trials (pairs of scene and seed); {size}",
+            f"% brackets: 95 % intervals; {size}",
         ]
         for table in self.tables:
             columns = table.latex or "l" * table.texts + "r" * (len(table.headings) - table.texts)
-            lines = [" & ".join(map(_tex, line)) + r" \\" for line in (table.headings, *table.lines)]
+            below = [
+                part for line in table.lines for part in itertools.zip_longest(*(cell.split("\n") for cell in line))
+            ]
+            lines = [" & ".join(_tex(cell or "") for cell in line) + r" \\" for line in (table.headings, *below)]
             parts += [f"% {table.title}. {table.about}".rstrip(), r"\begin{tabular}{" + columns + "}", r"\toprule"]
             parts += [lines[0], r"\midrule", *lines[1:], r"\bottomrule", r"\end{tabular}"]
         return "\n".join([*parts, ""])
@@ -372,7 +375,7 @@ def _not_reached(each: Statistic) -> str:
 def _tex(text: str) -> str:
     replacements = (
         *(("\u2212", "$-$"), ("\u221e", r"$\infty$"), (DASH, "--"), ("_", r"\_"), ("%", r"\%"), ("&", r"\&")),
-        *(("<", "$<$"), (">", "$>$"), ("\u2264", r"$\leq$")),
+        *(("<", "$<$"), (">", "$>$"), ("\u2264", r"$\leq$"), ("\u00b1", r"$\pm$"), ("\u00b0", r"$^\circ$")),
     )
     for character, replacement in replacements:
         text = text.replace(character, replacement)
