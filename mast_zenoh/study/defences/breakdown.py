@@ -88,6 +88,18 @@ def measures_of_breaking(outcome: TrialOutcome, attack_start_s: float) -> dict[s
     }
 
 
+def honest_first(kind: Kind, factors: Factors, without_liars: Factors) -> Floats:
+    """(trials,) whether an honest agent is suspended before any compromised one; NaN: the trial failed.
+
+    kind: with the measures of `measures_of_breaking`;  without_liars: factors of what is the same without them
+    """
+    alarms_s = {key: each["honest_s"] for key, each in kind.trials.get(without_liars, {}).items()}
+    first = np.full(len(kind.order), np.nan)
+    for key, each in kind.trials[factors].items():
+        first[kind.order[key]] = suspended_before_liars(each["honest_s"], each["liar_s"], alarms_s.get(key))
+    return first
+
+
 class Breakdown(Kind):
     """Broken trials and breakdown points.
 
@@ -146,12 +158,8 @@ class Breakdown(Kind):
 
     def _of_trials(self, factors: Factors) -> dict[str, Floats]:
         """By measure, (trials,) its value in each planned trial; NaN: it failed."""
-        without_liars = self.trials.get(factors.but(attack="", liars=0), {})
         values = {name: self.values(factors, name) for name in ("worse", *_MEANS)}
-        first = np.full(len(self.order), np.nan)
-        for key, each in self.trials[factors].items():
-            alarms_s = without_liars.get(key, {}).get("honest_s")
-            first[self.order[key]] = suspended_before_liars(each["honest_s"], each["liar_s"], alarms_s)
+        first = honest_first(self, factors, factors.but(attack="", liars=0))
         return values | {"honest_first": first, "broken": np.fmax(values["worse"], first)}
 
     def tables(self, table: Tables) -> ResultTables:

@@ -15,13 +15,13 @@ from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.show.tables.text_table import ResultTables
 from mast_zenoh.study.choices import SCENE_KINDS, UNDEFENDED
 from mast_zenoh.study.defences import breakdown, intervals, matrix
-from mast_zenoh.study.defences.breakdown import HALF, mean_crossing, measures_of_breaking, suspended_before_liars
+from mast_zenoh.study.defences.breakdown import HALF, honest_first, mean_crossing, measures_of_breaking
 from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import alone, is_fault, lies, undefended
 from mast_zenoh.study.defences.matrix_table import MatrixTable, Published
 from mast_zenoh.study.defences.published import BY_SUSPENSION, PUBLISHED, published_tables
 from mast_zenoh.study.defences.scoreboard import scoreboard_tables
-from mast_zenoh.study.trial import TrialKey, TrialOutcome
+from mast_zenoh.study.trial import TrialOutcome
 
 if TYPE_CHECKING:
     from mast_zenoh.runs.run import Run
@@ -136,12 +136,8 @@ class FieldMatrix(matrix.DefenceMatrix):
         attacks = dict.fromkeys(each["attack"] for each in cells if lies(each))
         counts = sorted({each["n_adversaries"] for each in cells})
         shares = {
-            attack: np.stack(
-                [
-                    self._broken_share([each for each in cells if each["attack"] in ("", attack)], count, keys)
-                    for count in counts
-                ],
-                axis=1,
+            attack: self._in_scene(
+                np.stack([self._broken_share(cells, attack, count) for count in counts], axis=1), scene
             )
             for attack in attacks
         }
@@ -164,18 +160,11 @@ class FieldMatrix(matrix.DefenceMatrix):
         of = {"scene": scene_title(scene), "defence": defence, "agents": agents, "weakest": weakest}
         return Row(of, len(keys), numbers)
 
-    def _broken_share(self, cells: Iterable[Factors], count: int, keys: Sequence[TrialKey]) -> Floats:
-        """(trials,) the share of broken runs of the cells with a number of adversaries, NaN without a run."""
-        runs = [[self._is_broken(each, key) for key in keys] for each in cells if each["n_adversaries"] == count]
-        return _mean_known(np.array(runs, np.float64).reshape(-1, len(keys)))
-
-    def _is_broken(self, factors: Factors, key: TrialKey) -> float:
-        """Whether a run is broken, in the sense of `breakdown`; NaN if it failed."""
-        each = self.trials[factors].get(key)
-        if each is None:
-            return math.nan
-        alarms_s = self.trials.get(alone(factors), {}).get(key, {}).get("honest_s")
-        return float(each["worse"] or suspended_before_liars(each["honest_s"], each["liar_s"], alarms_s))
+    def _broken_share(self, cells: Iterable[Factors], attack: str, count: int) -> Floats:
+        """(trials,) the share of broken runs, as in `breakdown`, under one attack with a number of adversaries."""
+        played = [each for each in cells if each["attack"] in ("", attack) and each["n_adversaries"] == count]
+        runs = [np.fmax(self.values(each, "worse"), honest_first(self, each, alone(each))) for each in played]
+        return _mean_known(np.array(runs, np.float64).reshape(-1, len(self.order)))
 
     # -- summaries and published figures -------------------------------------------------------------------------------
 
