@@ -120,14 +120,14 @@ def _write_parquet(
     Returns the numbers of finished trials by configuration, and the table rows.
     Only the trials of one scene and seed are in memory at a time.
     """
-    trial_schema = to_arrow(numbers.columns(trials[0], [])).schema
-    frame_schema = pyarrow.schema([*list(trial_schema)[:3], *store.frame_schema(trials)])
-    per_trial, per_frame = (ParameterColumns(study, schema.names) for schema in (trial_schema, frame_schema))
+    no_number = to_arrow(numbers.columns(trials[0], []))
+    no_frame = pyarrow.schema([*list(no_number.schema)[:3], *store.frame_schema(trials)]).empty_table()
+    per_trial, per_frame = (ParameterColumns(study, table.column_names) for table in (no_number, no_frame))
     done: Counter[str] = Counter()
     samples = Samples(study, seeds)
     with (
-        table_writer(store.folder / "results.parquet", per_trial.schema(trial_schema)) as trial_file,
-        table_writer(store.folder / "frames.parquet", per_frame.schema(frame_schema)) as frame_file,
+        table_writer(store.folder / "results.parquet", per_trial.add(no_number, "").schema) as trial_file,
+        table_writer(store.folder / "frames.parquet", per_frame.add(no_frame, "").schema) as frame_file,
     ):
         for group in _by_scene_and_seed(store, trials):
             baseline = next((each for each in group if each.trial.configuration == study.baseline), None)
@@ -285,18 +285,11 @@ class ParameterColumns:
         }
         self._types = {name: pyarrow.array(list(column.values())).type for name, column in self._values.items()}
 
-    def schema(self, table_schema: pyarrow.Schema) -> pyarrow.Schema:
-        """`table_schema` with the parameter columns added."""
-        fields = [pyarrow.field(name, self._column(name, "", 0).type) for name in self._values]
-        return pyarrow.schema([table_schema.field(0), *fields, *list(table_schema)[1:]])
-
     def add(self, table: pyarrow.Table, configuration: str) -> pyarrow.Table:
         """`table` with the parameter columns added; all its rows belong to one configuration."""
         for position, name in enumerate(self._values, 1):
-            table = table.add_column(position, name, self._column(name, configuration, len(table)))
+            value = pyarrow.scalar(self._values[name].get(configuration), self._types[name])
+            column = pyarrow.repeat(value, len(table))
+            text = pyarrow.types.is_string(column.type)
+            table = table.add_column(position, name, column.dictionary_encode() if text else column)
         return table
-
-    def _column(self, name: str, configuration: str, rows: int) -> pyarrow.Array:
-        value = pyarrow.scalar(self._values[name].get(configuration), self._types[name])
-        column = pyarrow.repeat(value, rows)
-        return column.dictionary_encode() if pyarrow.types.is_string(column.type) else column

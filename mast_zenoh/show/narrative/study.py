@@ -59,6 +59,10 @@ class Comparisons:
         series = StudySeries(column.owner or row.ego, column.estimator, column.metric)
         return self.adjusted.get((row.label, series), 1.0) <= LEVEL
 
+    def shows(self, row: StudyRow, column: StudyColumn) -> bool:
+        """Whether the difference remains, or is the same in all seeds."""
+        return self.remains(row, column) or column.of(row).certain
+
     def remaining(self) -> int:
         """The number of contrasts that remain distinguishable from 0."""
         return sum(p <= LEVEL for p in self.adjusted.values())
@@ -128,7 +132,8 @@ NO_CHANGE = "No configuration changes false or missed objects in any estimate of
 
 def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons: Comparisons) -> str:
     headline = _headline(attacked, comparisons)
-    largest = _largest(attacked, ("fp_iob", "fn_iob"), None)
+    changes = _changes(attacked, ("fp_iob", "fn_iob"))
+    largest = _largest([(row, column) for row, column in changes if not column.of(row).is_zero])
     return of_study(
         "result",
         rows=rows,
@@ -137,7 +142,7 @@ def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons:
         largest=largest and _sentence(largest),
         compared=largest and _compared(largest),
         rare=largest and largest[1].of(largest[0]).mostly_zero,
-        known=_estimates_of(attacked, "fp_iob") or _estimates_of(attacked, "fn_iob"),
+        known=changes,
         same=NO_CHANGE,
         made=comparisons,
     )[0]
@@ -152,7 +157,8 @@ def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comp
     sentences: list[str] = []
     silent: dict[str, list[str]] = {phrase: [] for phrase in (_UNCHANGED, _RARE, _ALONE, _INDISTINCT, "")}
     for metric, (name, _) in _CHANGES.items():
-        change = _largest(attacked, (metric,), comparisons)
+        clear = [each for each in _changes(attacked, (metric,)) if comparisons.shows(*each)]
+        change = _largest(clear)
         if change is None:
             silent[_silence(_estimates_of(attacked, metric), tested=bool(comparisons.count))].append(name)
         elif change != headline_change:
@@ -187,10 +193,21 @@ def _compared(change: _Change) -> str:
     return f"{names} in {ESTIMATES[column.estimator].noun}"
 
 
+def _changes(rows: Sequence[StudyRow], metrics: Sequence[str]) -> list[_Change]:
+    """All known changes of metrics, of estimates in order of priority."""
+    every = [(row, StudyColumn("", name, each)) for each in _PRIORITY for row in rows for name in metrics]
+    return [(row, column) for row, column in every if not math.isnan(column.of(row).value)]
+
+
 def _estimates_of(rows: Sequence[StudyRow], metric: str) -> list[Statistic]:
     """All known estimates of a metric."""
-    estimates = [StudyColumn("", metric, estimator).of(row) for row in rows for estimator in _PRIORITY]
-    return [each for each in estimates if not math.isnan(each.value)]
+    return [column.of(row) for row, column in _changes(rows, (metric,))]
+
+
+def _largest(changes: Sequence[_Change]) -> _Change | None:
+    """The largest of the changes in the first estimate that has any."""
+    first = [each for each in changes if each[1].estimator == changes[0][1].estimator]
+    return max(first, key=lambda change: abs(change[1].of(change[0]).value), default=None)
 
 
 def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | None:
@@ -202,29 +219,7 @@ def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | N
             change = row, StudyColumn("", metric, estimator)
             if metric in _COUNTED or abs(change[1].of(row).value) >= _LEAST:
                 return change
-    for estimator in _PRIORITY:
-        columns = [StudyColumn("", metric, estimator) for metric in _COUNTED]
-        same = [(row, column) for row in rows for column in columns if column.of(row).certain]
-        if same:
-            return max(same, key=lambda change: abs(change[1].of(change[0]).value))
-    return None
-
-
-def _largest(rows: Sequence[StudyRow], metrics: Sequence[str], comparisons: Comparisons | None) -> _Change | None:
-    """The largest change in the first estimate that has any.
-
-    comparisons: if given, only significant changes; else all but those that are 0 in every trial
-    """
-    for estimator in _PRIORITY:
-        changes = [(row, StudyColumn("", metric, estimator)) for row in rows for metric in metrics]
-        known = [(row, column) for row, column in changes if not math.isnan(column.of(row).value)]
-        if comparisons:
-            known = [each for each in known if comparisons.remains(*each) or each[1].of(each[0]).certain]
-        else:
-            known = [each for each in known if not each[1].of(each[0]).is_zero]
-        if known:
-            return max(known, key=lambda change: abs(change[1].of(change[0]).value))
-    return None
+    return _largest([(row, column) for row, column in _changes(rows, _COUNTED) if column.of(row).certain])
 
 
 def _sentence(change: _Change) -> str:

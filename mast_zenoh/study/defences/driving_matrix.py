@@ -224,7 +224,7 @@ def driving_tables(table: Sequence[DrivingRow], size: str) -> ResultTables:
     ]
     if own:
         columns = {
-            f"{name}{end}": _of_user(f"{kind} {name}")
+            f"{name}{end}": shown(f"{kind} {name}", over_trials)
             for name in own
             for kind, end in (("mean", ""), ("added", ", added by the attack"))
         }
@@ -247,11 +247,6 @@ def driving_tables(table: Sequence[DrivingRow], size: str) -> ResultTables:
         headline=headline(table),
         reading=sentences,
     )
-
-
-def _of_user(measure: str) -> Callable[[Row], str]:
-    """The text of a user's metric, which runs without an attack have no difference of."""
-    return lambda row: over_trials(row.numbers.get(measure, Statistic()))
 
 
 def headline(table: Sequence[DrivingRow]) -> str:

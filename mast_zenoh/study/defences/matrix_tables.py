@@ -18,6 +18,7 @@ from mast_zenoh.show.tables.text_table import (
     number,
     numbers_of_rows,
     percent,
+    shown,
     table_of_rows,
     whole,
 )
@@ -60,9 +61,8 @@ def _of_runs(each: Statistic) -> str:
 _SHOWN = {"median_delay_s": median_delay, "ospa_added_m": _share} | dict.fromkeys(_FRAMING, _of_runs)
 
 
-def _text(name: str, show: Callable[[Statistic], str] | None = None) -> Callable[[Row], str]:
-    """The text of a measure; rows without it have a dash."""
-    return lambda row: (show or _SHOWN.get(name, measured))(row.numbers.get(name, Statistic()))
+def _text(name: str) -> Callable[[Row], str]:
+    return shown(name, _SHOWN.get(name, measured))
 
 
 def _columns(*names: str) -> Columns:
@@ -74,7 +74,7 @@ def _lied(share: Statistic) -> str:
     return f"{round(share.value * share.trials)} of {share.trials}"
 
 
-_LIED: Columns = {"runs with a lie": _text("attacked", _lied)}
+_LIED: Columns = {"runs with a lie": shown("attacked", _lied)}
 
 
 def tables(matrix: MatrixTable) -> list[TextTable]:
@@ -89,13 +89,13 @@ def tables(matrix: MatrixTable) -> list[TextTable]:
     costs = _columns("fn_added", "fp_added", "ospa_added_m", "honest_suspended_per_hour", "wrongly_suspended")
     detection = _columns("lies_detected", "median_delay_s", "identifiable_removed", "fp_identifiable")
     detection |= _columns("fp_unidentifiable", "honest_suspended_per_hour")
-    detection |= {"suspended": _suspended, "suspended before": _text("suspended_before", whole)}
+    detection |= {"suspended": _suspended, "suspended before": shown("suspended_before", whole)}
     faults = _columns("wrongly_suspended", "faulty_suspended_per_hour", "honest_suspended_per_hour", "ospa_added_m")
     no_delay = f" Suspended nobody in any run, so without a delay: {', '.join(matrix.not_suspending)}."
     about = paragraph("matrix_detection") + no_delay * bool(matrix.not_suspending)
-    states = {name: _text(name, _share) for row in matrix.states for name in row.numbers}
-    areas = {"AUC": _text("auc", _share), "partial AUC below 1 false alarm/h": _text("partial_auc", _share)}
-    areas |= {"hours": _text("hours", lambda each: number(each.value, 3))}
+    states = {name: shown(name, _share) for row in matrix.states for name in row.numbers}
+    areas = {"AUC": shown("auc", _share), "partial AUC below 1 false alarm/h": shown("partial_auc", _share)}
+    areas |= {"hours": shown("hours", lambda each: number(each.value, 3))}
     judged = [row for row in matrix.summaries if row.of["defence"] in matrix.rocs]
     every = [
         table_of_rows("Cost without an attack", "Compared with no defence, per frame.", quiet, costs, _DEFENCE),
@@ -195,7 +195,7 @@ def _breakdown(matrix: MatrixTable) -> TextTable:
         for row in matrix.breakdowns
     ]
     counts = sorted({count for row in rows for count in counts_of(row)})
-    columns: Columns = {f"broken with {count} (%)": _text(f"broken {count}", percent) for count in counts}
+    columns: Columns = {f"broken with {count} (%)": shown(f"broken {count}", percent) for count in counts}
     columns |= {
         "breaks at (adversaries)": _breaks_at,
         "of all agents (%)": _share_of_liars,
@@ -252,16 +252,16 @@ def summary(matrix: MatrixTable) -> TextTable:
     budgets = ", each with its most harmful budget" if any(row.of["budgets"] > 1 for row in matrix.rows) else ""
     relative = "processor time {}, relative to undefended".format
     columns: Columns = {
-        DEFENCE_MEASURES["lies_detected"]: _text("lies_detected", _share),
+        DEFENCE_MEASURES["lies_detected"]: shown("lies_detected", _share),
         DEFENCE_MEASURES["median_delay_s"]: _text("median_delay_s"),
-        DEFENCE_MEASURES["identifiable_removed"]: _text("identifiable_removed", _share),
+        DEFENCE_MEASURES["identifiable_removed"]: shown("identifiable_removed", _share),
         "false alarms per hour without an attack": _text("alarms_per_hour"),
-        "frames": _text("frames", lambda each: whole(each) if each.value else DASH),
-        "FN added without an attack": _text("fn_added", _share),
-        "FP added without an attack": _text("fp_added", _share),
-        "runs with faults that suspend an agent (share)": _text("faults_suspended", _of_runs),
+        "frames": shown("frames", lambda each: whole(each) if each.value else DASH),
+        "FN added without an attack": shown("fn_added", _share),
+        "FP added without an attack": shown("fp_added", _share),
+        "runs with faults that suspend an agent (share)": shown("faults_suspended", _of_runs),
         DEFENCE_MEASURES["framed_by_minority"]: _text("framed_by_minority"),
-        QUANTITIES["harm_removed"]: _text("harm_removed", _share),
+        QUANTITIES["harm_removed"]: shown("harm_removed", _share),
     }
     if breakdowns:
         columns["breaks at (adversaries)"] = lambda row: _breaks_at(breakdowns[row.of["defence"]])

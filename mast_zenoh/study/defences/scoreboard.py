@@ -5,24 +5,19 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 from mast_zenoh.metrics.significance import holm
-from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, Row
+from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, NAN, Row, Statistic
 from mast_zenoh.run_folder import finding
 from mast_zenoh.show.findings.words import of_study, paragraph
-from mast_zenoh.show.tables.text_table import BOUNDS, ResultTables, TextTable, bounds, digits, measured
+from mast_zenoh.show.tables.text_table import ResultTables, TextTable, measured, numbers_of_rows, shown, table_of_rows
 from mast_zenoh.study.defences.matrix_table import MatrixTable
 
 SCOREBOARD = "Scoreboard"
-_SCOREBOARD_HEADINGS = (
-    *("defence", "beaten most by", "errors added", "by the attack", "minus undefended"),
-    *("without an attack", "seeds"),
-)
-_OF_SCORE = ("defence", "attack", "n_adversaries", "placement", "scene")
-_SCOREBOARD_CSV = (*_OF_SCORE, "measure", *BOUNDS, "p_holm", "worst")
-#: What is read together of every cell.
-_READ_TOGETHER = ("damage", "by_attack", "harm")
+#: What is read together of every cell, and its headings.
+_READ_TOGETHER = {"damage": "errors added", "by_attack": "by the attack", "harm": "minus undefended"}
 
 
 class DefenceScore(NamedTuple):
@@ -35,18 +30,27 @@ class DefenceScore(NamedTuple):
 class Scoreboard:
     """The scores of a matrix, the smallest worst case first; none without a defence, or without an adversary.
 
-    rows:     the cells that scores are chosen from, by kind of scene: without faults, and attacks in which nobody lied
-    adjusted: p-values by measure and cell, adjusted as one family, because a score is the greatest of many
+    rows:  the cells that scores are chosen from, by kind of scene: without faults, and attacks in which nobody lied.
+           Their p-values are adjusted as one family, because a score is the greatest of many
+    tests: their number
     """
 
     def __init__(self, table: MatrixTable) -> None:
         defences = {row.of["defence"] for row in table.summaries if "harm_removed" in row.numbers}  # those attacked
         shown = [row for row in table.by_scene if defences and row.of["scene"] and row["damage"].known]
         played = [row for row in shown if row["attacked"].known or not row.of["attack"]]
-        self.rows = [row for row in played if not row.idle]
-        values = {(name, row): row[name].p for row in self.rows for name in _READ_TOGETHER}
-        tested = {key: p for key, p in values.items() if not math.isnan(p)}
-        self.adjusted = dict(zip(tested, holm(list(tested.values())), strict=True))
+        tested = [
+            (row, name) for row in played if not row.idle for name in _READ_TOGETHER if not math.isnan(row[name].p)
+        ]
+        adjusted = dict(zip(tested, holm([row[name].p for row, name in tested]), strict=True))
+        self.tests = len(tested)
+        self.rows = [
+            replace(
+                row, numbers={name: row[name]._replace(p=adjusted.get((row, name), NAN)) for name in _READ_TOGETHER}
+            )
+            for row in played
+            if not row.idle
+        ]
         scores = []
         for name in dict.fromkeys(row.of["defence"] for row in self.rows):
             own = [row for row in self.rows if row.of["defence"] == name]
@@ -54,10 +58,6 @@ class Scoreboard:
                 scores.append(DefenceScore(*(max(rows, key=_damage) for rows in (own, quiet))))
         self.scores = sorted(scores, key=lambda score: _damage(score.worst))
         self.defended = [score for score in self.scores if score.worst.of["defence"] in defences]
-
-    def differs(self, name: str, row: Row) -> bool:
-        """Whether a measure of a cell differs from 0 if all are read together."""
-        return self.adjusted.get((name, row), 1.0) <= LEVEL
 
     def conclusions(self) -> list[str]:
         """Five computed sentences: the best defence, its rivals, what beats most, gain, cost; none without scores."""
@@ -76,30 +76,26 @@ class Scoreboard:
 
     def named(self, name: str, rows: Iterable[Row], sign: int) -> str:
         """The defences of cells whose measure differs from 0, in one direction."""
-        named = [row.of["defence"] for row in rows if self.differs(name, row) and sign * row[name].value > 0.0]
+        named = [row.of["defence"] for row in rows if row[name].p <= LEVEL and sign * row[name].value > 0.0]
         return finding.names(named) if named else "none"
 
     def text(self, name: str, row: Row) -> str:
         """A measure of a cell, with its mark."""
-        return measured(row[name]) + "*" * self.differs(name, row)
+        return _marked(row[name])
 
     def table(self) -> TextTable:
         """The scores as text."""
-        lines = [
-            [
-                *(
-                    score.worst.of["defence"],
-                    _case(score.worst),
-                    *(self.text(name, score.worst) for name in _READ_TOGETHER),
-                ),
-                *(self.text("damage", score.quiet), str(score.worst["damage"].trials)),
-            ]
-            for score in self.scores
-        ]
-        about = paragraph(
-            "scoreboard_about", tests=paragraph("scoreboard_tests", adjusted=self.adjusted, least=MIN_SEEDS)
-        )
-        return TextTable(SCOREBOARD, about, _SCOREBOARD_HEADINGS, lines, 2)
+        quiet = {score.worst: score.quiet for score in self.scores}
+        columns = {"beaten most by": _case} | {each: shown(name, _marked) for name, each in _READ_TOGETHER.items()}
+        columns["without an attack"] = lambda row: _marked(quiet[row]["damage"])
+        columns["seeds"] = lambda row: str(row["damage"].trials)
+        tests = paragraph("scoreboard_tests", adjusted=range(self.tests), least=MIN_SEEDS)
+        about = paragraph("scoreboard_about", tests=tests)
+        return table_of_rows(SCOREBOARD, about, [*quiet], columns, {"defence": "defence"}, texts=2)
+
+
+def _marked(each: Statistic) -> str:
+    return measured(each) + "*" * (each.p <= LEVEL)
 
 
 def _damage(row: Row) -> float:
@@ -115,17 +111,10 @@ def scoreboard_tables(table: MatrixTable) -> ResultTables:
     """The scoreboard as a page of its own; its CSV has all numbers that are read together."""
     board = Scoreboard(table)
     worst = [score.worst for score in board.scores]
-    numbers = [
-        [
-            *(*(row.of[each] for each in _OF_SCORE), name, *bounds(row[name])),
-            *(*digits(board.adjusted.get((name, row), math.nan)), int(row in worst)),
-        ]
-        for row in board.rows
-        for name in _READ_TOGETHER
-    ]
+    numbers = numbers_of_rows([replace(row, of=row.of | {"worst": int(row in worst)}) for row in board.rows])
     sentences = board.conclusions()
     numbered = [f"{at}. {text}" for at, text in enumerate(sentences, 1)]
     about = "\n".join([f"{table.size}.", *([""] if numbered else []), *numbered])
     tables = [board.table()] if board.scores else []
     brief = [each._replace(about=" ".join([each.about, *sentences])) for each in tables]
-    return ResultTables(SCOREBOARD, about, table.size, tables, (_SCOREBOARD_CSV, numbers), brief, reading=sentences)
+    return ResultTables(SCOREBOARD, about, table.size, tables, numbers, brief, reading=sentences)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -119,16 +120,18 @@ def test_where_no_defence_has_a_better_worst_case_than_none_the_first_sentence_s
 def test_marks_are_adjusted_for_every_case_that_a_score_is_chosen_from() -> None:
     whole = table_of(ERRORS)
     board = Scoreboard(whole)
-    tested = [key for key in board.adjusted if key[1].of["attack"]]
-    assert len(tested) == len(board.adjusted), "equal values, as of runs without an attack, have no test"
-    damages = [row for name, row in tested if name == "damage"]
+    plain = {tuple(row.of.values()): row for row in whole.by_scene}
+    tested = [(row, name) for row in board.rows for name, each in row.numbers.items() if not math.isnan(each.p)]
+    assert len(tested) == board.tests
+    assert all(row.of["attack"] for row, _ in tested), "equal values, as of runs without an attack, have no test"
+    damages = [row for row, name in tested if name == "damage"]
     assert len(damages) == 2 * 2 * len(ERRORS), "of two attacks in two kinds of scene"
-    for name, row in tested:
-        assert board.adjusted[name, row] >= row[name].p
+    for row, name in tested:
+        assert row[name].p >= plain[tuple(row.of.values())][name].p
     rows = list(csv.DictReader(io.StringIO(scoreboard_tables(whole).as_csv())))
     assert len(rows) == 3 * 3 * 2 * len(ERRORS)
     assert {(row["defence"], row["attack"]) for row in rows if row["worst"] == "1"} >= {("Cad", "Ghost")}
-    assert min(float(row["p_holm"]) for row in rows if row["p_holm"]) == min(board.adjusted.values())
+    assert min(float(row["p"]) for row in rows if row["p"]) == min(row[name].p for row, name in tested)
 
 
 def test_without_adversaries_or_defences_there_is_no_scoreboard() -> None:
