@@ -44,6 +44,7 @@ def test_a_study_writes_the_same_tables_as_the_command_line(study_file: Path, tm
         _ = study.comparison
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_a_study_without_trials_keeps_a_run_of_each_configuration(study_file: Path, tmp_path: Path) -> None:
     study = mast.study(study_file, out=tmp_path / "out")
     assert list(study.runs) == ["baseline", "attacked"]

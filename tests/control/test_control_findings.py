@@ -239,13 +239,6 @@ def test_a_node_that_reports_more_messages_than_were_sent_ends_the_run_by_name(d
     assert driver.now_ns < driver.protocol.stall_timeout_s * 1e9, "at once, not only when the stall timeout expires"
 
 
-def test_a_node_that_reports_a_foreign_key_ends_the_run_by_name(driver: Hosted) -> None:
-    counts(driver, "watch", {"clock": 1}, {})
-    driver.wait()
-    reason = "implausible: watch reports messages sent on 'clock', which it does not publish on"
-    assert driver.protocol.stop_reason == reason
-
-
 def test_a_node_that_reports_too_few_messages_stalls_the_run(driver: Hosted) -> None:
     driver.protocol.scene.sent["clock"] = 3
     driver.protocol.report()
@@ -522,11 +515,11 @@ def test_an_oversized_failure_is_not_queued_at_the_launcher(context: RunContext)
 
 def test_malformed_steps_leave_room_for_valid_ones(context: RunContext) -> None:
     launcher = launcher_of(context)
-    for payload in [*RUBBISH * 200, flow.encode_act(5, [("start", "ego")])]:
+    for payload in [*RUBBISH * 50, flow.encode_act(5, [("start", "ego")])]:
         act(launcher, payload)
     launcher.advance()
     assert launcher._protocol.steps.done == [{"frame": 5, "action": "start", "node": "ego"}]
-    assert context.invalid.counts == {"act": len(RUBBISH) * 200}
+    assert context.invalid.counts == {"act": len(RUBBISH) * 50}
 
 
 def test_malformed_requests_leave_room_for_valid_ones(context: RunContext) -> None:

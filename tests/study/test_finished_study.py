@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from small_study import SMALL
 
 import mast_zenoh as mast
 from mast_zenoh.errors import RunFolderError
@@ -22,7 +23,8 @@ def test_a_study_of_trials_is_opened_with_its_tables(whole: trials.StudyResult) 
 
 
 def test_a_study_of_single_runs_is_opened_with_its_runs(tmp_path: Path) -> None:
-    made = mast.study(str(write_small(tmp_path)), out=tmp_path / "out", frames=4, start_s=0.1)
+    (file := tmp_path / "single.py").write_text(SMALL.replace("trials=trials,", ""))
+    made = mast.study(str(file), out=tmp_path / "out", frames=4)
     opened = mast.open(tmp_path / "out")
     assert list(opened.runs) == list(made.runs)
     assert opened.table() == made.table()
