@@ -139,7 +139,7 @@ def test_a_shorter_run_leaves_out_later_frames_and_a_whole_one_refuses_them(save
     folder = write_folder(tmp_path / "d", whole)
     part = OwnDetections(scene=RecordingFile(path=str(saved)), path=str(folder)).record(0, 2)
     assert len(part.detections) == whole.detection_start[4]
-    with pytest.raises(SceneError, match=r"d: mobile_1.txt: line \d+: frame is 4, expected 0 to 3|frame is 4"):
+    with pytest.raises(SceneError, match=r"\.txt: line.*frame is 4"):
         replayed(saved, folder, first_frame=-1)
 
 
@@ -160,16 +160,16 @@ def test_any_scene_takes_detections_in_a_scenario(saved: Path, whole: Recording,
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("0,2,0,0", "ego.txt: line 2: found 4 values, expected 15 numbers with commas"),
-        ("0 2 car", "line 2: found 3 values, expected 18 words"),
-        ("0,2,0,0,0,0,x,1,1,1,1,1,1,0,0", "line 2: could not convert"),
-        ("0.5,2,0,0,0,0,1,1,1,1,1,1,1,0,0", "line 2: found frame 0.5, expected a whole number"),
-        ("inf,2,0,0,0,0,1,1,1,1,1,1,1,0,0", "line 2: found frame inf"),
-        ("0,2,0,0,0,0,nan,1,1,1,1,1,1,0,0", "line 2: score is nan"),
-        ("0,2,0,0,0,0,1,1,1,1,inf,1,1,0,0", "line 2: position is"),
-        ("0,2,0,0,0,0,1,0,1,1,1,1,1,0,0", "line 2: size is .*, expected finite numbers above 0"),
-        ("-1,2,0,0,0,0,1,1,1,1,1,1,1,0,0", "line 2: frame is -1, expected 0 to 3"),
-        ("0,2,0,0,0,0,1,1,1,1,1,1,1,nan,0", "line 2: yaw is nan"),
+        ("0,2,0,0", r"ego.txt.*2.*4"),
+        ("0 2 car", r"2.*3 values"),
+        ("0,2,0,0,0,0,x,1,1,1,1,1,1,0,0", r"2: could.*convert"),
+        ("0.5,2,0,0,0,0,1,1,1,1,1,1,1,0,0", r"2.*0.5.*number"),
+        ("inf,2,0,0,0,0,1,1,1,1,1,1,1,0,0", r"line 2.*frame"),
+        ("0,2,0,0,0,0,nan,1,1,1,1,1,1,0,0", "line 2: score"),
+        ("0,2,0,0,0,0,1,1,1,1,inf,1,1,0,0", "line 2: position"),
+        ("0,2,0,0,0,0,1,0,1,1,1,1,1,0,0", r"2.*finite numbers"),
+        ("-1,2,0,0,0,0,1,1,1,1,1,1,1,0,0", r"2: frame.*-1"),
+        ("0,2,0,0,0,0,1,1,1,1,1,1,1,nan,0", "line 2: yaw"),
     ],
 )
 def test_a_damaged_line_is_refused_by_file_and_number(line, message, saved, whole, tmp_path):
@@ -183,7 +183,7 @@ def test_a_damaged_line_is_refused_by_file_and_number(line, message, saved, whol
 def test_a_missing_file_is_refused_by_name(saved: Path, whole: Recording, tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "d", whole)
     (folder / "mobile_1.txt").rename(folder / "mobile1.txt")
-    with pytest.raises(SceneError, match=r"mobile_1.txt: no such file.*did you mean 'mobile1'"):
+    with pytest.raises(SceneError, match=r"mobile_1.txt.*file.*'mobile1'"):
         replayed(saved, folder)
     for missing in ("d.parquet", "d.jsonl", "nosuch"):
         with pytest.raises(SceneError, match=missing):
@@ -193,16 +193,16 @@ def test_a_missing_file_is_refused_by_name(saved: Path, whole: Recording, tmp_pa
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (dict(yaw=None), "column yaw is missing"),
-        (dict(xy=None), "covariance has the columns xx, xz, yy, yz, zz, expected"),
-        (dict(frame=0.5), "row 0: frame is 0.5, expected a whole number"),
-        (dict(frame=9), "row 0: frame is 9, expected 0 to 3"),
+        (dict(yaw=None), r"column yaw.*missing"),
+        (dict(xy=None), r"covariance.*columns xx"),
+        (dict(frame=0.5), r"0.*0.5.*number"),
+        (dict(frame=9), r"0: frame.*9"),
         (dict(agent="nobody"), "row 0: .*'nobody'"),
-        (dict(l=-1.0), "row 0: size is"),
-        (dict(score=1.5), "row 0: score is 1.5, expected 0 to 1"),
-        (dict(x=float("nan")), "row 0: position is"),
-        (dict(x="here"), "column x is not of numbers"),
-        (dict(xx=-1.0), "row 0: covariance is .*, expected a symmetric matrix"),
+        (dict(l=-1.0), "row 0: size"),
+        (dict(score=1.5), r"0: score.*1.5"),
+        (dict(x=float("nan")), "row 0: position"),
+        (dict(x="here"), r"column x.*numbers"),
+        (dict(xx=-1.0), r"0: covariance.*symmetric"),
     ],
 )
 def test_a_damaged_table_is_refused_by_column_and_row(changes, message, saved, whole, tmp_path):
@@ -215,7 +215,7 @@ def test_a_damaged_table_is_refused_by_column_and_row(changes, message, saved, w
 def test_a_truncated_table_is_refused(saved: Path, whole: Recording, tmp_path: Path) -> None:
     path = write_table(tmp_path / "d.parquet", whole)
     path.write_bytes(path.read_bytes()[:-50])
-    with pytest.raises(SceneError, match=r"d.parquet: cannot be read as Parquet"):
+    with pytest.raises(SceneError, match=r"d.parquet.*read.*Parquet"):
         replayed(saved, path)
 
 

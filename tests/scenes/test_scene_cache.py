@@ -63,7 +63,7 @@ def test_a_scene_that_returns_something_else_is_refused_and_not_cached(folder: P
 
     Wrong.__module__ = "mast_zenoh.nowhere"  # such a class would be cached
     for _ in range(2):
-        with pytest.raises(SceneError, match=r"Wrong.record: found a Wrong, expected a Recording"):
+        with pytest.raises(SceneError, match=r"Wrong.record.*Wrong.*Recording"):
             prepare(Wrong(), 0, None, "wrong")
     assert not list(folder.glob("*.npz"))
 

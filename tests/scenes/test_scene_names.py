@@ -33,14 +33,14 @@ def test_short_names_are_parsed_to_configurations(text: str, spec: dict) -> None
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("sumo:", "no path, expected sumo:PATH"),
-        ("avstack", "no path, expected avstack:PATH"),
+        ("sumo:", r"no path.*sumo:PATH"),
+        ("avstack", r"no path.*avstack:PATH"),
         ("av2:", "no path"),
-        ("dair", "no path, expected dair:PATH"),
-        ("rcooper:", "no path, expected rcooper:PATH"),
-        ("intersection:x", "'x' is not a whole number, expected intersection:SCENE_INDEX"),
-        ("intersecton", "did you mean 'intersection'"),
-        ("carla:x", "unknown name 'carla', expected one of NAME:PATH, intersection:SCENE_INDEX; known: av2, "),
+        ("dair", r"no path.*dair:PATH"),
+        ("rcooper:", r"no path.*rcooper:PATH"),
+        ("intersection:x", r"'x'.*number.*intersection:SCENE_INDEX"),
+        ("intersecton", "mean 'intersection'"),
+        ("carla:x", r"'carla'.*intersection:SCENE_INDEX.*av2"),
         ("", "unknown name"),
     ],
 )

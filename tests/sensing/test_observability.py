@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
@@ -50,7 +50,7 @@ def test_phantoms_do_not_hide_each_other() -> None:
     assert both[:, 0].tolist() == [returns(10.0, 0.0), returns(18.0, 0.0)]
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_returns_equal_those_of_the_scene_with_the_phantom_in_it(seed: int) -> None:
     """Leaving out the objects that cannot be in the way changes nothing."""
     random = np.random.default_rng(seed)
@@ -100,7 +100,6 @@ def street(random: np.random.Generator, snap: bool) -> tuple[PlacedSensor, Walls
     return sensor, Walls(start, end, top) if random.random() < 0.8 else None, states, int(false)
 
 
-@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32), st.booleans(), st.sampled_from([1, 5, 40]))
 def test_an_object_has_enough_returns_exactly_if_casting_all_beams_says_so(seed: int, snap: bool, least: int) -> None:
     sensor, walls, states, false = street(np.random.default_rng(seed), snap)

@@ -32,7 +32,7 @@ def test_a_run_continues_without_a_killed_node_that_may_end(mode: str) -> None:
         assert (outcome.error, outcome.frames) == ("", 20), disturbed
         assert outcome.lost == {"b": "killed by signal 9 (SIGKILL)"}, disturbed
         assert outcome.results.keys() == EVERY - {"b"}, disturbed
-        assert any("b killed by signal 9" in note and "continuing without it" in note for note in outcome.notes)
+        assert any("killed by signal" in note and "continuing without it" in note for note in outcome.notes)
 
 
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])
@@ -77,6 +77,6 @@ def test_an_unplanned_death_among_planned_ones_fails_the_run() -> None:
     world = paused((2, "kill", "a"), (3, "pause", "b"))
     for seed in SEEDS:
         outcome = play(world, schedule(seed, (0.2 + 0.005 * seed, "kill", "hub")))
-        assert outcome.error.startswith("NodeDied: hub killed by signal 9"), seed
+        assert outcome.error.startswith("NodeDied: hub killed"), seed
         assert outcome.lost.keys() == {"hub"}, "a was killed by the scenario"
         assert outcome.results.keys() >= EVERY - {"a", "hub"}, seed

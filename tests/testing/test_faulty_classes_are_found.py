@@ -144,26 +144,26 @@ class Explode(Fizzle):
 @pytest.mark.parametrize(
     ("check", "faulty", "message"),
     [
-        (testing.check_tracker, RenumberingTracker(), "RenumberingTracker.step .*: depends on the order of the rows"),
+        (testing.check_tracker, RenumberingTracker(), r"RenumberingTracker.step.*depends.*order"),
         (testing.check_tracker, ForgetfulTracker(), "ForgetfulTracker.step .*after `reset` it differs from a new"),
-        (testing.check_clusterer, OneCluster(), "OneCluster.cluster with 1000 tracks: a cluster has two tracks of one"),
-        (testing.check_fusion, UnweightedFusion(), "UnweightedFusion.fuse .*: a cluster without trusted members is"),
-        (testing.check_fusion, RoundingFusion(), "RoundingFusion.fuse .*: changed its input states.position"),
-        (testing.check_attack, HidesFirstRow(), "HidesFirstRow.step .*: depends on the order of the rows: keep"),
-        (testing.check_attack, Unrepeatable(), "Unrepeatable.step .*: two instances with the same seed and name"),
-        (testing.check_driver, Reckless(), "Reckless.drive with 0 objects .*a command that the car refuses: .* is 99"),
-        (testing.check_driver, Unsure(), "Unsure.drive with 1 objects .*expected finite numbers"),
-        (testing.check_driver, AfraidOfTheFirst(), "AfraidOfTheFirst.drive with 1000 .*on the order of the objects"),
-        (testing.check_driver, Nervous(), "Nervous.drive .*: depends on the order of the objects"),
-        (testing.check_driver, Counting(), "Counting.drive .*not deterministic, or they share state"),
-        (testing.check_driver, Parking(), "Parking.drive .*: changed its input situation.velocity"),
-        (testing.check_metric, MeanRange(), "MeanRange with 0 boxes in 1 frames: ValueError: zero-size array"),
-        (testing.check_metric, FirstBox(), "FirstBox with 1000 boxes .*: depends on the order of the boxes"),
-        (testing.check_link_rule, Early(), "Early.apply: a message leaves before it arrives"),
-        (testing.check_link_rule, Vanish(), "Vanish.fate: found 'vanished', expected one of dropped, delayed"),
-        (testing.check_fault, Fizzle(at=1.0, node="ego"), "Fizzle: found neither rules nor events"),
-        (testing.check_fault, Misspelt(at=1.0, node="ego"), r"Misspelt.rules\[0\].type: .*did you mean 'Loss'"),
-        (testing.check_fault, Explode(at=1.0, node="ego"), "Explode.events: found 'explode', expected one of kill"),
+        (testing.check_clusterer, OneCluster(), r"OneCluster.cluster.*tracks.*cluster"),
+        (testing.check_fusion, UnweightedFusion(), r"UnweightedFusion.fuse.*cluster without"),
+        (testing.check_fusion, RoundingFusion(), r"RoundingFusion.fuse.*changed.*states.position"),
+        (testing.check_attack, HidesFirstRow(), r"HidesFirstRow.step.*depends.*rows"),
+        (testing.check_attack, Unrepeatable(), r"Unrepeatable.step.*instances.*same"),
+        (testing.check_driver, Reckless(), r"Reckless.drive.*refuses.*99"),
+        (testing.check_driver, Unsure(), r"Unsure.drive.*objects.*numbers"),
+        (testing.check_driver, AfraidOfTheFirst(), r"AfraidOfTheFirst.drive.*order.*objects"),
+        (testing.check_driver, Nervous(), r"Nervous.drive.*depends.*objects"),
+        (testing.check_driver, Counting(), r"Counting.drive.*deterministic.*share"),
+        (testing.check_driver, Parking(), r"Parking.drive.*changed.*situation.velocity"),
+        (testing.check_metric, MeanRange(), r"MeanRange.*frames: ValueError"),
+        (testing.check_metric, FirstBox(), r"FirstBox.*boxes.*depends"),
+        (testing.check_link_rule, Early(), r"Early.apply.*message.*arrives"),
+        (testing.check_link_rule, Vanish(), r"Vanish.fate.*'vanished'.*dropped"),
+        (testing.check_fault, Fizzle(at=1.0, node="ego"), r"Fizzle.*neither.*events"),
+        (testing.check_fault, Misspelt(at=1.0, node="ego"), r"Misspelt.rules\[0\].type.*mean 'Loss'"),
+        (testing.check_fault, Explode(at=1.0, node="ego"), r"Explode.events.*'explode'.*kill"),
     ],
     ids=lambda value: type(value).__name__ if not callable(value) and not isinstance(value, str) else "",
 )
@@ -184,7 +184,7 @@ class Babbler(Node):
 
 @pytest.mark.parametrize(
     ("node", "message"),
-    [(Deaf, "Deaf has no on_picture"), (Babbler, r"Babbler.outputs\['words'\]: there is no message type 'words'")],
+    [(Deaf, r"Deaf.*no on_picture"), (Babbler, r"Babbler.outputs\['words'\].*message.*'words'")],
 )
 def test_a_node_with_unsuitable_ports_is_named(node: type[Node], message: str) -> None:
     with pytest.raises(AssertionError, match=message):
@@ -227,7 +227,7 @@ def watched(folder: Path, does: str) -> Path:
 @pytest.mark.parametrize(
     ("does", "message"),
     [
-        ("self.order.append(received.subject)", "results of nodes differ in another order of delivery"),
+        ("self.order.append(received.subject)", r"results.*another.*delivery"),
         ("received.body['nosuch']", "a handler failed: .*watcher.*on_tracks"),
     ],
 )
@@ -239,7 +239,7 @@ def test_faults_of_a_node_are_found_by_playing_its_scenario(tmp_path: Path, does
 def test_a_node_that_fails_when_another_is_lost_is_found_on_the_simulated_mesh(tmp_path: Path) -> None:
     scenario = watched(tmp_path, "pass\n\n    def left(self, node, role, context):\n        self.agents.remove(node)")
     testing.check_scenario(scenario, frames=5)
-    with pytest.raises(AssertionError, match=r"watcher\.left failed .*'agents'(.|\n)*kill \w+"):
+    with pytest.raises(AssertionError, match=r"watcher\.left failed"):
         testing.check_scenario(scenario, frames=5, schedules=100)
 
 

@@ -39,16 +39,16 @@ def test_a_shipped_node_that_is_inserted_and_changes_nothing_keeps_every_promise
 def test_an_inserted_node_that_changes_messages_is_found() -> None:
     attack = RELAY | {"settings": ["attack.type=UncoordinatedAttack", "attack.start_s=0"]}
     lines = check(world(attack), INSERTED)
-    assert any(line.startswith("messages on agent/infra_1/tracks differ from the undisturbed run") for line in lines)
+    assert any(line.startswith("messages on agent/infra_1/tracks") for line in lines)
 
 
 def test_a_request_for_a_wire_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(WiringError, match="no wire 'agent/infra_9/tracks'; did you mean"):
+    with pytest.raises(WiringError, match="no wire 'agent/infra_9/tracks'"):
         world(RELAY | {"wire": "agent/infra_9/tracks"})
 
 
 def test_a_request_that_is_no_dict_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"requests: found 'adversary\.py', expected dicts with wire, file"):
+    with pytest.raises(ConfigurationError, match=r"requests.*'adversary\.py'.*dicts"):
         world("adversary.py")  # type: ignore[arg-type]
 
 
@@ -63,7 +63,7 @@ def test_a_world_that_fails_without_any_disturbance_is_found() -> None:
     plain = small_world()
     build = plain.build
     failing = replace(plain, build=lambda name, spec: Failing() if name == "a" else build(name, spec))
-    with pytest.raises(AssertionError, match=r"without any disturbance: a\.on_number failed 20 times"):
+    with pytest.raises(AssertionError, match=r"without.*disturbance: a\.on_number"):
         explore(failing, range(3))
 
 
