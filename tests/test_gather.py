@@ -3,7 +3,7 @@
 import itertools
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates
@@ -13,7 +13,6 @@ messages = st.lists(st.tuples(st.integers(0, 4), st.sampled_from("abc")), max_si
 
 
 @given(messages, st.randoms(use_true_random=False))
-@settings(max_examples=200)
 def test_a_gathered_frame_does_not_depend_on_the_order_of_its_items(items: list, random) -> None:
     def outcome(order: list) -> dict:
         gather: Gather[str, tuple] = Gather("abc")
@@ -58,7 +57,6 @@ def test_the_latest_item_before_a_frame_is_independent_of_order_and_of_the_frame
     st.integers(1, 4),
     st.randoms(use_true_random=False),
 )
-@settings(max_examples=200)
 def test_a_batch_does_not_depend_on_the_order_of_arrival(items: list, at: int, capacity: int, random) -> None:
     def batch(order: list) -> tuple:
         buffer: CollationBuffer[tuple] = CollationBuffer(capacity)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import uniform
 from tracked_objects import assert_same_bits, nanoseconds
@@ -62,7 +62,6 @@ def objects(draw: st.DrawFn) -> ObjectStates:
     )
 
 
-@settings(max_examples=50)
 @given(objects(), st.sampled_from(ORDERS))
 def test_states_survive_the_way_to_stone_soup_and_back(states: ObjectStates, order: tuple[str, ...]) -> None:
     measured = MeasurementBatch.states(states)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from tracked_objects import INVALID_COVARIANCES, assert_close, assert_same_bits, cars, nanoseconds
 from tracking_worlds import detected, joined
@@ -164,7 +164,6 @@ detections = st.lists(
 
 
 @pytest.mark.parametrize("kind", [KalmanBoxTracker3D, InteractingModelsTracker3D])
-@settings(max_examples=60)
 @given(st.lists(detections, min_size=2, max_size=6), st.randoms(use_true_random=False))
 def test_the_order_of_detections_does_not_matter(kind, frames, random):
     a, b = kind(), kind()
@@ -176,7 +175,6 @@ def test_the_order_of_detections_does_not_matter(kind, frames, random):
         assert_same_bits(one, other)
 
 
-@settings(max_examples=40)
 @given(st.lists(detections, min_size=2, max_size=5))
 def test_filterpy_agrees_for_any_detections(frames):
     a, b = KalmanBoxTracker3D(), FilterpyBoxTracker3D()
@@ -207,7 +205,7 @@ def test_time_steps_may_have_any_length_including_zero():
 def test_an_earlier_time_is_refused():
     tracker = KalmanBoxTracker3D()
     tracker.step(100, NOTHING)
-    with pytest.raises(ValueError, match="found 99, expected at least 100"):
+    with pytest.raises(ValueError, match=r"99.*least 100"):
         tracker.step(99, NOTHING)
 
 

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
@@ -106,7 +106,6 @@ def test_filterpy_and_stone_soup_are_imported_only_when_used():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-@settings(max_examples=100)
 @given(st.lists(st.floats(-1e300, 1e300, allow_nan=False), min_size=9, max_size=9))
 def test_any_finite_matrix_is_repaired(values):
     result = make_positive_definite(np.array(values).reshape(1, 3, 3))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
@@ -162,7 +162,6 @@ def test_an_unheard_and_distant_load_does_not_matter() -> None:
     assert with_load[0, 1] == without[0, 1]
 
 
-@settings(max_examples=50)
 @given(x=st.lists(st.floats(0.0, 2000.0), min_size=2, max_size=8), load=st.floats(0.0, 0.1), more=st.floats(0.0, 0.1))
 def test_more_load_never_helps(x: list[float], load: float, more: float) -> None:
     position, channel = line(*x), RadioChannel()

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from plain_values import from_plain
 from v2x_messages import MessageMaker
@@ -97,7 +97,6 @@ def remove_other_classes(plain: dict) -> None:
                     perceived["classification"] = held
 
 
-@settings(max_examples=60)
 @given(st.integers(0, 2**32), st.sampled_from([0.1, 0.5, 0.9]), st.booleans())
 def test_columns_hold_their_fields_of_any_message(seed, presence, beyond):
     layout, random = cpm_fields.LAYOUT, np.random.default_rng(seed)
@@ -106,7 +105,7 @@ def test_columns_hold_their_fields_of_any_message(seed, presence, beyond):
     ids = [container["containerId"] for container in plain["payload"]["cpmContainers"]]
     data = uper.encode(layout, from_plain(layout, plain))
     if len(set(ids)) < len(ids):
-        with pytest.raises(MessageError, match="found two containers with identifier"):
+        with pytest.raises(MessageError, match=r"two containers.*identifier"):
             cpm.decode(data)
         return
     keep_what_columns_hold(plain)
@@ -116,7 +115,7 @@ def test_columns_hold_their_fields_of_any_message(seed, presence, beyond):
 def test_values_outside_the_standard_are_refused_with_the_path_of_the_field():
     objects = two_objects()
     objects.position[1, 0] = 131072
-    with pytest.raises(MessageError, match=r"perceivedObjects\[1\].position.xCoordinate.value: found 131072, expected"):
+    with pytest.raises(MessageError, match=r"perceivedObjects\[1\].position.xCoordinate.value.*131072"):
         cpm.encode(message(objects=objects))
     objects = two_objects()
     objects.velocity_form[1] = CARTESIAN
@@ -148,7 +147,6 @@ def test_some_objects_are_taken_with_their_classes():
 MESSAGE = cam.Cam(4711, 12345, 5, Position(520_000_000, 94_000_000))
 
 
-@settings(max_examples=60)
 @given(st.integers(0, 2**32), st.sampled_from([0.0, 0.1, 0.5]), st.booleans())
 def test_a_cam_holds_its_fields_of_any_message(seed, presence, beyond):
     layout = cam_fields.LAYOUT
@@ -167,5 +165,5 @@ def test_a_cam_holds_its_fields_of_any_message(seed, presence, beyond):
 
 
 def test_values_of_a_cam_outside_the_standard_are_refused_with_the_path_of_the_field():
-    with pytest.raises(MessageError, match=r"speed.speedValue: found 16384, expected 0..16383"):
+    with pytest.raises(MessageError, match=r"speed.speedValue.*16384.*0..16383"):
         cam.encode(dataclasses.replace(MESSAGE, vehicle=cam.VehicleMotion(speed=16384)))

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from perceptions import FRAME_NS, objects, perceived, reports, sent_ids
 
@@ -206,7 +206,6 @@ def plain_rules(frames: list[list[tuple[int, float, float, str]]], interval: int
 
 
 @given(frames=FRAMES, interval=st.integers(1, 4))
-@settings(max_examples=200)
 def test_messages_equal_those_of_the_rules_object_by_object(frames: list[list[Any]], interval: int) -> None:
     rules = CpmGeneration(least_s=interval * 0.1)
     for frame, expected in enumerate(plain_rules(frames, interval)):

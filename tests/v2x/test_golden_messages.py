@@ -7,7 +7,7 @@ from pathlib import Path
 import asn1_oracle
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from plain_values import from_plain
 from v2x_messages import MessageMaker
@@ -46,7 +46,6 @@ pytestmark = pytest.mark.skipif(not asn1_oracle.FOLDER.is_dir(), reason="no ASN.
 
 
 @pytest.mark.parametrize("layout", [cpm_fields.LAYOUT, cam_fields.LAYOUT], ids=["CPM", "CAM"])
-@settings(max_examples=25)
 @given(st.integers(0, 2**32), st.sampled_from([0.1, 0.5, 0.9]))
 def test_random_messages_have_the_bytes_and_values_of_asn1tools(layout, seed, presence):
     plain = MessageMaker(np.random.default_rng(seed), presence, beyond=False).draw(layout.type)

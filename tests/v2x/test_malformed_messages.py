@@ -79,12 +79,12 @@ def test_a_message_that_ends_early_is_refused_at_every_length(layout):
     data = next(data for data in messages(layout, np.random.default_rng(4), 99) if 60 < len(data) < 300)
     for n in range(len(data)):
         assert refused_or_canonical(layout, data[:n])
-    with pytest.raises(MessageError, match="message: found 2 trailing bytes, expected none"):
+    with pytest.raises(MessageError, match=r"message.*2 trailing"):
         decode(layout, data + b"\x00\x00")
 
 
 def test_a_forged_count_is_refused_before_any_element_is_read():
     layout = EncodingProgram("list of regions", cpm_fields.PerceptionRegionContainer)
     count_of_16383 = int("1" + "10" + 14 * "1" + 7 * "0", 2).to_bytes(3)
-    with pytest.raises(MessageError, match="message: the bytes end here, 407 bits are left and more are needed"):
+    with pytest.raises(MessageError, match=r"message.*bytes.*needed"):
         decode(layout, count_of_16383 + bytes(50))

@@ -170,9 +170,9 @@ def test_segments_hold_all_objects_once_and_have_at_most_the_wanted_size(max_byt
 def test_messages_that_fit_are_not_segmented_and_too_many_segments_are_refused():
     message = sent(drawn_tracks(np.random.default_rng(0), 30), PLANE.to_position(np.zeros(3)))
     assert segments(message, 2000) == [message]
-    with pytest.raises(MessageError, match="segments of 120 bytes, expected at most 8"):
+    with pytest.raises(MessageError, match=r"segments.*bytes.*most"):
         segments(message, 120)
-    with pytest.raises(MessageError, match=r"perceivedObjects\[0\]: a CPM with it alone has \d+ bytes, expected 40"):
+    with pytest.raises(MessageError, match=r"perceivedObjects\[0\].*CPM.*alone"):
         segments(message, 40)
 
 

@@ -94,10 +94,10 @@ def test_confidences_that_are_unavailable_or_out_of_range_are_large() -> None:
 @pytest.mark.parametrize(
     ("place", "problem"),
     [
-        ({"latitude": 900_000_001}, "unavailable latitude or longitude"),
-        ({"longitude": 1_800_000_001}, "unavailable latitude or longitude"),
-        ({"latitude": 900_000_000}, "found a place 42[0-9]{2} km from the scene, expected at most 100"),
-        ({"latitude": -520_000_000, "longitude": -1_710_000_000}, "km from the scene, expected at most 100"),
+        ({"latitude": 900_000_001}, r"unavailable latitude.*longitude"),
+        ({"longitude": 1_800_000_001}, r"unavailable latitude.*longitude"),
+        ({"latitude": 900_000_000}, r"place 42[0-9]{2}.*scene"),
+        ({"latitude": -520_000_000, "longitude": -1_710_000_000}, r"km.*scene.*most"),
     ],
 )
 def test_a_message_from_nowhere_or_from_far_away_is_refused(place: dict[str, int], problem: str) -> None:
