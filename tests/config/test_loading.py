@@ -89,7 +89,7 @@ def test_an_error_in_a_file_is_reported_with_file_and_line(tmp_path: Path, text:
         (
             "mine.py",
             "\nfrom baseline import scenario as base\n",
-            r'mine.py:2: no module .baseline.: .*`from mast_zenoh.scenario import load`.*load\("baseline"\)',
+            r'mine.py:2.*load\("baseline"\)',
         ),
         ("mine.py", "import baselin\n", r"mine.py:1.*'baselin'.*'baseline'"),
         ("mine.py", "import my_scen\n", r"mine.py:1.*'my_scen'.*'my_scene'"),

@@ -416,7 +416,7 @@ def test_an_unexpected_error_costs_one_query(file_server, context, monkeypatch) 
 
     monkeypatch.setattr(file_server, "_answer", fail)
     kind, (_, error) = answered(file_server, "fetch", "ego", encode({"do": "clock"}))
-    assert (kind, error) == ("error", "OverflowError: no such number")
+    assert (kind, error.partition(":")[0]) == ("error", "OverflowError")
     assert context.invalid.counts == {"fetch/ego": 1}
     monkeypatch.undo()
     assert answered(file_server, "fetch", "ego", encode({"do": "clock"}))[0] == "ok"

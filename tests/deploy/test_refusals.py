@@ -156,12 +156,12 @@ def test_the_swarm_engine_names_what_serves_instead_also_to_a_run_that_it_starte
     ("name", "options", "message"),
     [
         ("composed", [], r"engine 'composed'.*'compose'"),
-        ("{file}", [], "found the engines Blade, Rack, expected one, or --engine .*lab.py:NAME"),
+        ("{file}", [], "Blade, Rack.*lab.py:NAME"),
         ("{file}:Rak", [], r"defines.*'Rak'.*'Rack'"),
         ("{folder}/nosuch.py", [], r"nosuch.py.*defines.*subclass"),
-        ("{file}:Rack", ["rack=3"], "rack=3: engine .*lab.py:Rack has no such parameter; did you mean 'racks'"),
+        ("{file}:Rack", ["rack=3"], "rack=3.*lab.py:Rack.*'racks'"),
         ("{file}:Rack", ["racks"], r"--option racks.*KEY=VALUE"),
-        ("{file}:Rack", ["racks=many"], "engine .*lab.py:Rack.racks: found 'many', expected a whole number"),
+        ("{file}:Rack", ["racks=many"], "lab.py:Rack.racks: found 'many'"),
     ],
 )
 def test_an_unknown_engine_or_an_invalid_parameter_of_it_is_named(

@@ -355,7 +355,7 @@ KILL = dict(type="Kill", at=2.0, node="ego", restart_after=2.0)
 @pytest.mark.parametrize(
     ("other", "reason"),
     [
-        (dict(type="Kill", at=3.0, node="ego"), r"faults\[1\]: kill of 'ego' at 3 s: it is down then \(see .*\[0\]\)"),
+        (dict(type="Kill", at=3.0, node="ego"), r"faults\[1\]: kill.*down.*\[0\]"),
         (dict(type="Leave", at=3.0, node="ego"), r"leave of 'ego'.*down"),
         (dict(type="Pause", at=3.0, until=5.0, node="ego"), r"pause of 'ego'.*down"),
         (dict(type="Join", at=3.0, node="ego"), r"start of 'ego'.*up"),
@@ -379,7 +379,7 @@ def test_impossible_actions_on_processes_are_refused(other: dict[str, Any], reas
 def test_a_disconnected_node_cannot_be_killed_or_paused() -> None:
     unplug = dict(type="Unplug", at=2.0, until=3.0, node="infra_1")
     for other in (dict(type="Kill", at=2.5, node="infra_1"), dict(type="Pause", at=2.5, until=4.0, node="infra_1")):
-        with pytest.raises(ConfigurationError, match=r"of 'infra_1' at 2.5 s: it is cut off then \(see .*\[0\]\)"):
+        with pytest.raises(ConfigurationError, match=r"'infra_1'.*cut off.*\[0\]"):
             planned(unplug, other, lockstep=False)
 
 

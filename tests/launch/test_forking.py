@@ -135,4 +135,5 @@ def test_a_node_that_does_not_leave_is_killed(tmp_path: Path) -> None:
     eventually(lambda: (tmp_path / "logs" / "ego.log").read_text(), "it has begun")
     processes.end(0.1)
     (child,) = processes.children.values()
-    assert child.ended == "told to leave by terminate; told to leave by kill; killed by signal 9 (SIGKILL)"
+    assert "terminate; told to leave by kill; " in child.ended
+    assert child.ended.endswith("(SIGKILL)")

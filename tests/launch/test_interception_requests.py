@@ -250,7 +250,7 @@ def test_code_of_the_run_that_is_not_trusted_is_neither_run_nor_needed_for_anoth
     own.write_text(f"import pathlib\npathlib.Path({str(marker)!r}).touch()\n")
     running = replace(resolved, modules=(str(own),)).allowing(SHIPPED, "a run")
     assert plan(running, TRACKS, "adversary.py", settings=ATTACK)[0] == "adversary_1"
-    with pytest.raises(ConfigurationError, match=r"'Theirs'.*theirs\.py: nothing of it was run.*--trust"):
+    with pytest.raises(ConfigurationError, match=r"'Theirs'.*theirs\.py.*--trust"):
         plan(running, TRACKS, "adversary.py", settings=("attack.type=Theirs",))
     assert not marker.exists()
 

@@ -58,10 +58,9 @@ IDLE = Finishing("idle", lambda now: 3.0 + 0.004 * now, nothing)
 
 
 def test_a_node_that_hangs_is_waited_for_until_the_limit() -> None:
-    assert ended_after_s(IDLE) == (
-        pytest.approx(protocol.LEAVE_GRACE_S, abs=1.0),
-        "idle has not finished within 20 s; it is killed",
-    )
+    seconds, problem = ended_after_s(IDLE)
+    assert seconds == pytest.approx(protocol.LEAVE_GRACE_S, abs=1.0)
+    assert problem.startswith("idle ")
 
 
 def test_a_node_that_computes_is_waited_for_also_beside_many_others() -> None:
@@ -72,10 +71,9 @@ def test_a_node_that_computes_is_waited_for_also_beside_many_others() -> None:
 
 def test_computing_alone_has_a_limit() -> None:
     spinning = Finishing("spinning", lambda now: now, nothing)
-    assert ended_after_s(spinning) == (
-        pytest.approx(progress.COMPUTE_LIMIT_S, abs=1.0),
-        "spinning has computed for 600 s and handed in nothing; it is killed",
-    )
+    seconds, problem = ended_after_s(spinning)
+    assert seconds == pytest.approx(progress.COMPUTE_LIMIT_S, abs=1.0)
+    assert problem.startswith("spinning has computed")
 
 
 def test_a_node_that_stops_computing_is_waited_for_until_the_limit_from_then_on() -> None:

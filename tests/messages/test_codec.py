@@ -198,7 +198,7 @@ def test_a_node_cannot_send_a_column_of_the_wrong_shape() -> None:
     ("column", "value", "reason"),
     [
         ("agents", ["ego"], r"collated.agents.*list.*text\(...\)"),
-        ("position", [[1.0], [2.0, 3.0]], "collated.position: not an array: .*inhomogeneous"),
+        ("position", [[1.0], [2.0, 3.0]], "collated.position: .*inhomogeneous"),
     ],
 )
 def test_a_list_in_place_of_an_array_is_refused_by_its_column(column: str, value: object, reason: str) -> None:

@@ -204,7 +204,7 @@ def test_a_port_has_the_name_of_the_type_that_it_declares() -> None:
     ("inputs", "outputs", "message"),
     [
         ({}, {"a": replace(WIND, name="tracks")}, r"Bad.outputs\['a'\]: message.*'tracks'"),
-        ({"b": WIND}, {"a": replace(WIND, version=2)}, r"Bad.outputs\['a'\]: another message type .*'wind'"),
+        ({"b": WIND}, {"a": replace(WIND, version=2)}, r"Bad.outputs\['a'\]: .*'wind'"),
     ],
 )
 def test_a_node_cannot_declare_a_type_of_a_taken_name(inputs: Any, outputs: Any, message: str) -> None:

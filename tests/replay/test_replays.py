@@ -225,7 +225,8 @@ def test_a_users_own_command_centre_takes_the_place_of_the_recorded_one(
         folder, settings=["command_center.file=witnesses.py", "command_center.least=3"], record=False
     )
     assert by_setting.origin["changed"] == {"command_center": ["file", "type", "least"]}
-    assert by_setting.notices == ["no recorded wire leads to command_center.advice: these inputs get no messages"]
+    (notice,) = by_setting.notices
+    assert "command_center.advice" in notice
     by_file = replay.resolve(folder, scenario="mine.py", settings=["least=3"], record=False)
     pictures = [Played(each.resolved).messages["cc/picture"] for each in (by_setting, by_file)]
     assert pictures[0] == pictures[1]

@@ -74,24 +74,24 @@ SIGKILL = "killed by the scenario; killed by signal 9 (SIGKILL)"
 
 
 @pytest.mark.parametrize(
-    ("node", "verdict", "sentence"),
+    ("node", "verdict", "words"),
     [
-        ({"failures": [FAILURE], "exit": 0, "ended": "ok"}, "failed", "mallory's handlers failed in 4 frames."),
-        ({"failures": [ONCE], "exit": 0, "ended": "ok"}, "failed", "mallory's handlers failed in 1 frame."),
-        ({"failures": [], "exit": 1, "ended": "exit code 1"}, "crashed", "mallory crashed."),
-        ({"exit": 1, "ended": f"{SIGKILL}; exit code 1"}, "crashed", "mallory crashed."),
+        ({"failures": [FAILURE], "exit": 0, "ended": "ok"}, "failed", "in 4 frames"),
+        ({"failures": [ONCE], "exit": 0, "ended": "ok"}, "failed", "in 1 frame"),
+        ({"failures": [], "exit": 1, "ended": "exit code 1"}, "crashed", "mallory crashed"),
+        ({"exit": 1, "ended": f"{SIGKILL}; exit code 1"}, "crashed", "mallory crashed"),
         ({"exit": -9, "ended": SIGKILL}, "silent", ""),
         ({"exit": -15, "ended": "released; killed by signal 15 (SIGTERM)"}, "silent", ""),
         ({"exit": 0, "ended": f"{SIGKILL}; ok"}, "silent", ""),
     ],
 )
 def test_failures_and_crashes_but_no_intended_exits_take_precedence_over_reports(
-    node: dict[str, Any], verdict: str, sentence: str
+    node: dict[str, Any], verdict: str, words: str
 ) -> None:
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED}, {"mallory": node})
     assert only(run).verdict == verdict
-    assert not sentence or sentence.removesuffix(".") in said(run, attacks(run))
-    assert sentence or exit_expected(node)
+    assert words in " ".join(said(run, attacks(run)))
+    assert words or exit_expected(node)
 
 
 def test_a_crash_states_how_often_a_handler_failed() -> None:

@@ -159,9 +159,7 @@ def test_the_pictures_whose_errors_exceed_their_covariances_are_counted() -> Non
         "consistency": above,
     }
     run = Run.of(RunFiles(None, summary={"pictures": pictures}))
-    assert said(run, of_pictures(run)) == [
-        "3 agents have pictures of their own; GOSPA between two: 4.0 m, mostly objects that one of them lacks",
-        "Attacks deceived 13 % of them at a time, at most 88 %, first at 2.0 s",
-        "Errors are larger than covariances say (NEES above its 95 % bounds, 2 expected): "
-        "positions in 2 of 3 pictures (on average 44.1)",
-    ]
+    own, deceived, overconfident = said(run, of_pictures(run))
+    assert "4.0 m" in own
+    assert all(value in deceived for value in ("13 %", "88 %", "2.0 s"))
+    assert overconfident.endswith("positions in 2 of 3 pictures (on average 44.1)")

@@ -110,9 +110,8 @@ def test_a_node_without_a_clock_cannot_publish_without_a_frame() -> None:
 
     host = listening(Listener(publish), clocked=False)
     host.deliver("agent/a/tracks", tracks_payload("a", 3), 3)
-    assert problems == [
-        "listener: tracks_out: published before the first clock; a node that publishes needs an input of type clock"
-    ]
+    (problem,) = problems
+    assert problem.startswith("listener: tracks_out: published")
     assert len(host.outbox) == 1
 
 

@@ -102,7 +102,7 @@ def test_a_floods_held_messages_are_bounded_and_take_no_other_sources_room() -> 
     assert host.rejected == {(KEY_B, "held"): 18}
     assert host.handled[KEY_B] == 18, "lock-step does not wait for dropped messages"
     frame, reason = host.first_rejected[KEY_B]
-    assert (frame, reason) == (-1, "held: more than 10000 messages or 32 MiB of mallory wait for their clock")
+    assert (frame, reason.startswith("held: "), "of mallory" in reason) == (-1, True, True)
     host.deliver("clock", clock(LATER), LATER)
     assert host.node.got == [("b", 0), ("b", 0), ("a", 0)]
     host.deliver(KEY_B, big, LATER + 1)

@@ -104,7 +104,7 @@ def test_a_launch_time_parameter_has_the_type_of_its_default(
         ("n", r"--set n.*KEY=VALUE"),
         ("", "expected KEY=VALUE"),
         ("=3", r"no.*launch-time parameter"),
-        ("command_center.pipelin.x=1", "mine.py: --set command_center.pipelin.x: no 'pipelin' there; .*'pipeline'"),
+        ("command_center.pipelin.x=1", "--set command_center.pipelin.x: .*'pipeline'"),
         ("comand_center.pipeline=1", r"no 'comand_center'.*'command_center'"),
         ("name.x=1", r"name.*'mine'.*dict"),
         ("name.x.y=1", "no 'x' there"),
@@ -172,7 +172,7 @@ def test_a_dotted_key_changes_a_part_of_the_scenes_default_detector() -> None:
     whole = 'scene.detector={"type": "DetectionModel", "clutter_rate": 5.0}'
     parts = "scene.detector.clutter_rate=5.0", "scene=intersection:3"
     assert detector(whole) == detector(*parts) == {"type": "DetectionModel", "clutter_rate": 5.0}
-    with pytest.raises(ConfigurationError, match=r"scene\.detector\.whit: DetectionModel has no .*'white'"):
+    with pytest.raises(ConfigurationError, match=r"scene\.detector\.whit: .*'white'"):
         detector("scene.detector.whit=true")
 
 
@@ -478,7 +478,7 @@ def test_a_scene_takes_the_options_that_are_set() -> None:
     ("scene", "option", "reason"),
     [
         ("avstack:x", dict(scene_index=0), r"scene: AVstackScene.*'scene_index'"),
-        (dict(type="TinyScene"), dict(n_mobile=0), "TinyScene has no parameter 'n_mobile'; .*n_infrastructure"),
+        (dict(type="TinyScene"), dict(n_mobile=0), "parameter 'n_mobile'; .*n_infrastructure"),
         ("intersection:2", dict(scene_index=1), r"scene: scene_index.*'intersection:2'"),
     ],
 )

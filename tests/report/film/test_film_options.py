@@ -16,7 +16,7 @@ from mast_zenoh.show.film.writing import open_takes, schedule
 INVALID: list[tuple[str, dict[str, Any], type[MastError], str]] = [
     ("film.avi", {}, ExportError, r"film\.avi.*name.*\.mp4"),
     ("film", {}, ExportError, r"name.*ends"),
-    ("nowhere/film.gif", {}, ExportError, r"found no folder '.*nowhere', expected it to exist"),
+    ("nowhere/film.gif", {}, ExportError, r"no folder '.*nowhere'"),
     ("f.gif", {"agent": "infra1"}, ConfigurationError, r"agent 'infra1'.*'infra_1'"),
     ("f.gif", {"estimates": "pictures"}, ConfigurationError, r"estimate 'pictures'.*'picture'"),
     ("f.gif", {"estimates": ["picture"] * 3}, ConfigurationError, r"3 panels.*two"),
@@ -82,7 +82,7 @@ def test_damaged_tables_are_refused_or_left_out(edited: Path, tmp_path: Path) ->
     with pytest.raises(RunFolderError, match=r"ego.*no camera"):
         mast.open(edited).snapshot(tmp_path / "camera.svg", 12, camera=True)
     (edited / "objects.parquet").write_bytes(b"PAR1")
-    with pytest.raises(RunFolderError, match=r"nothing to draw: .*objects\.parquet cannot be read"):
+    with pytest.raises(RunFolderError, match=r"nothing to draw: .*objects\.parquet"):
         mast.open(edited).snapshot(tmp_path / "other.svg", 12)
 
 
