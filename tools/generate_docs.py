@@ -97,7 +97,8 @@ def exit_codes_page() -> str:
         [
             *lines,
             "",
-            "`mast diff` exits with 0 if two runs are equal, 1 if they differ, 2 if it cannot compare them.",
+            "`mast diff` exits with 0 if two runs are equal, 1 if they differ, 2 if it cannot compare them. "
+            "`mast doctor` exits with 0 if this machine has what runs need, 1 if not; optional parts may be missing.",
             "",
             _ENDINGS,
             "",

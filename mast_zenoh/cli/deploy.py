@@ -207,18 +207,25 @@ def image(
 def doctor(
     credentials: Annotated[Path | None, typer.Option(help="A folder of certificates to check.")] = None,
     endpoint: Annotated[str | None, typer.Option(help="A router that the certificates are checked against.")] = None,
+    report: Annotated[
+        bool, typer.Option("--report", help="Print what a bug report needs, without personal data.")
+    ] = False,
 ) -> None:
     """Check what this machine can do, and what to install for the rest."""
-    from mast_zenoh.deploy import doctor as findings
+    from mast_zenoh.deploy import doctor as checks
 
-    table = Table("", "", "", "what to do", box=None)
-    failed = False
-    for finding in findings.examine(credentials, endpoint):
-        symbol = {True: "[green]ok", False: "[red]no", None: "[yellow]--"}[finding.ok]
-        failed |= finding.ok is False
-        table.add_row(symbol, finding.name, escape(finding.detail), escape(finding.fix))
-    _out.print(table)
-    raise typer.Exit(1 if failed else 0)
+    if report and credentials is not None:
+        raise typer.BadParameter("names hosts, so it cannot be in a --report", param_hint="--credentials")
+    findings = list(checks.examine(credentials, endpoint))
+    if report:
+        _out.plain(checks.report(findings))
+    else:
+        table = Table("", "", "", "what to do", box=None)
+        for finding in findings:
+            symbol = {True: "[green]ok", False: "[red]no", None: "[yellow]--"}[finding.ok]
+            table.add_row(symbol, finding.name, escape(finding.detail), escape(finding.fix))
+        _out.print(table)
+    raise typer.Exit(1 if any(finding.ok is False for finding in findings) else 0)
 
 
 def _deployed(folder: Path, confirmed: bool) -> tuple[Any, dict[str, Any]]:

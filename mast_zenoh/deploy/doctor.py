@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import platform
+import pwd
+import re
 import shutil
 import sys
-from collections.abc import Callable, Iterator
-from importlib.metadata import version
+from collections.abc import Callable, Iterable, Iterator
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import NamedTuple
 
@@ -41,6 +45,64 @@ def examine(credentials: Path | None = None, endpoint: str | None = None) -> Ite
         reasons = explain(credentials, endpoint)
         where = f"{credentials}{f' at {endpoint}' if endpoint else ''}"
         yield Diagnosis("certificates", not reasons, "; ".join(reasons) or f"{where}: valid")
+
+
+def report(findings: Iterable[Diagnosis]) -> str:
+    """What a bug report needs, as one text without personal data.
+
+    findings: those of `examine`
+    """
+    facts = [Diagnosis("system", True, _system()), Diagnosis("packages", True, _packages())]
+    symbols = {True: "ok", False: "no", None: "--"}
+    return "\n".join(
+        f"{symbols[finding.ok]} {finding.name:<10} {without_personal_data(finding.detail)}"
+        for finding in (*findings, *facts)
+    )
+
+
+#: Absolute paths, also the part of a URL after its scheme; addresses of IPv4 and IPv6.
+_PATH = re.compile(r"(?<!\w)/[^\s'\",;)]*")
+_ADDRESS = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3}){3}(?![\w.])|(?<![\w:])[0-9a-fA-F]*:[0-9a-fA-F]*:[0-9a-fA-F:.]*")
+#: Shorter values of variables, such as "1" and "C", tell nothing.
+_SHORTEST_VALUE = 4
+
+
+def without_personal_data(text: str) -> str:
+    """A text without values of variables, names of the user and the host, paths, and addresses."""
+    personal = {value: f"${name}" for name, value in os.environ.items() if len(value) >= _SHORTEST_VALUE}
+    personal |= {os.getcwd(): "<path>", os.path.expanduser("~"): "<path>"}
+    host = platform.node()
+    personal |= {host: "<host>", host.partition(".")[0]: "<host>"}
+    with contextlib.suppress(KeyError):  # the user has no name
+        personal[pwd.getpwuid(os.getuid()).pw_name] = "<user>"
+    longest_first = sorted(filter(None, personal), key=len, reverse=True)
+    words = re.compile(rf"(?<!\w)(?:{'|'.join(map(re.escape, longest_first))})(?!\w)")
+    text = words.sub(lambda match: personal[match[0]], text)
+    return _ADDRESS.sub("<address>", _PATH.sub("<path>", text))
+
+
+def _system() -> str:
+    """The operating system, processors that this process may use, and memory."""
+    try:
+        name = platform.freedesktop_os_release()["PRETTY_NAME"]
+    except OSError:
+        name = "unknown distribution"
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    processors = f"{len(os.sched_getaffinity(0))} of {os.cpu_count()} processors"
+    kernel = f"{platform.system()} {platform.release()} {platform.machine()}"
+    return f"{name}, {kernel}, {processors}, {memory >> 30} GiB of memory"
+
+
+def _packages() -> str:
+    """Versions of the packages that this one needs, then the optional ones that are missing."""
+    found, missing = [], []
+    lines = [line for line in requires("mast-zenoh") or () if not re.search(r"extra == .dev\b", line)]
+    for name in sorted({re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in lines}):
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            missing.append(name)
+    return f"{', '.join(found)}; not installed: {', '.join(missing) or 'none'}"
 
 
 def python() -> Diagnosis:

@@ -233,3 +233,40 @@ def test_the_doctor_finds_the_mesh_and_suggests_fixes(tmp_path: Path) -> None:
     assert "is missing" in findings["certificates"].detail
     del findings["certificates"]
     assert all(finding.fix for finding in findings.values() if not finding.ok)
+
+
+def test_a_bug_report_has_what_is_needed_and_nothing_personal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home = tmp_path / "Mary Major"
+    home.mkdir()
+    monkeypatch.chdir(home)
+    monkeypatch.setattr(doctor.platform, "node", lambda: "workbench.example.org")
+    monkeypatch.setattr(doctor.pwd, "getpwuid", lambda uid: SimpleNamespace(pw_name="mmajor"))
+    for name, value in {"HOME": str(home), "DOCKER_HOST": "tcp://engine.example.org:2375", "TOKEN": "s3cret"}.items():
+        monkeypatch.setenv(name, value)
+    told = (
+        f"cannot connect to {os.environ['DOCKER_HOST']} as mmajor@workbench (workbench.example.org) with s3cret: "
+        f"no file {home}/.docker/config.json, '/srv/data/mary', unix:///run/user/1000/docker.sock, "
+        "ssh://mary@10.1.2.3, tcp/192.0.2.7:7447, tcp/[fe80::1c2d:3]:7447, [::1]; engine 29.1.3, 3 GiB"
+    )
+    findings = [doctor.Diagnosis("python", True, "3.12.1"), doctor.Diagnosis("docker", None, told)]
+    report = doctor.report(findings)
+    personal = ("mary", "mmajor", "workbench", "example.org", "s3cret", "192.0.2.7", "10.1.2.3", "fe80", "::1")
+    assert not [word for word in (*personal, str(tmp_path), "/srv", "/run/") if word.lower() in report.lower()], report
+    assert "ok python     3.12.1\n-- docker     cannot connect to $DOCKER_HOST as <user>@<host> (<host>)" in report
+    assert "engine 29.1.3, 3 GiB" in report
+    for fact in ("Linux", "processors", "GiB of memory", "eclipse-zenoh 1.", "numpy 2.", "cryptography "):
+        assert fact in report
+
+
+def test_a_bug_report_has_a_line_for_every_check_and_the_exit_code_of_the_doctor(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    usable = [doctor.python, doctor.compiled_kernels, doctor.disk_space]
+    for checks, code in ((usable, 0), ([lambda: doctor.Diagnosis("disk", False, "full", "make room")], 1)):
+        monkeypatch.setattr(doctor, "CHECKS", checks)
+        result = CliRunner().invoke(app, ["doctor", "--report"])
+        assert result.exit_code == code, result.output
+        names = [line.split()[1] for line in result.output.splitlines()]
+        assert names == [*(check().name for check in checks), "system", "packages"], result.output
+    refused = CliRunner().invoke(app, ["doctor", "--report", "--credentials", "folder"])
+    assert refused.exit_code == 2
