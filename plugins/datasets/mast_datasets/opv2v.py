@@ -357,7 +357,7 @@ class OPV2VScene(ScenarioFolder):
         poses, listed = layout.joined_poses(rows), Listed.of(labels, files)
         cars = own_cars(agents, poses)
         own = list(cars.values())
-        if variant.associated:
+        if variant.own_labels:
             listed = listed.with_id(shared_ids(listed))
         if variant.body is not None:
             check_numbers(listed, own)

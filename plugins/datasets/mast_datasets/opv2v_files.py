@@ -8,7 +8,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -53,9 +53,8 @@ class Variant:
 
     left_handed:    y is to the right, as in CARLA; it is inverted, and with it yaw and roll
     objects:        key of the objects in an agent's file
-    objects_in:     the frame of their places: "world", or the agent's "lidar"
     category:       key of an object's category; None: all are cars
-    associated:     ids are those of one agent's labels; `ass_id` is the id that agents share
+    own_labels:     of each agent: places are in the frame of its lidar, and `ass_id` is the id that agents share
     body:           key of the pose of a car's body on the ground; None: the car is where its lidar is
     car, pole:      lidars of the agents, without their mount
     disagreement_m: how far apart the places of one object may be in the files of two agents
@@ -65,9 +64,8 @@ class Variant:
 
     left_handed: bool
     objects: str = "vehicles"
-    objects_in: Literal["world", "lidar"] = "world"
     category: str | None = None
-    associated: bool = False
+    own_labels: bool = False
     body: str | None = None
     car: LidarSensor = field(default_factory=lambda: _lidar(-25.0, 2.0, 120.0))
     pole: LidarSensor = field(default_factory=lambda: _lidar(-40.0, 0.0, 120.0))
@@ -97,9 +95,8 @@ V2X_REAL = Variant(
 )
 V2V4REAL = Variant(
     left_handed=False,
-    objects_in="lidar",
     category="obj_type",
-    associated=True,
+    own_labels=True,
     car=_lidar(-25.0, 15.0, 200.0),
     own_centre=_UNDER_LIDAR,
 )
@@ -283,13 +280,13 @@ def read_labels(content: Element, variant: Variant, agent: Poses | None, frame: 
         if category not in LEFT_OUT:
             kind = CLASS_INDEX["car"] if category is None else _CLASS_OF_CATEGORY.get(category, 0)
             box: _Placed = each.read(_Placed)
-            shared = box.ass_id if variant.associated and box.ass_id is not None else -1
+            shared = box.ass_id if variant.own_labels and box.ass_id is not None else -1
             rows.append((number, shared, kind, *box.location, *box.center, *box.extent, *box.angle))
     table = np.array([row[3:] for row in rows], np.float64).reshape(-1, 12)
     ids, associated, classes = np.array([row[:3] for row in rows], np.int64).reshape(-1, 3).T
     position = (table[:, :3] + table[:, 3:6]) * (_FLIP if variant.left_handed else 1.0)
     rotation = rotations(table[:, 9:], variant.left_handed)
-    if variant.objects_in == "lidar" and agent is not None:
+    if variant.own_labels and agent is not None:
         position = agent.lidar + position @ agent.rotation.T
         rotation = agent.rotation @ rotation
     now, class_id = np.full(len(ids), frame, np.int64), classes.astype(np.uint8)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Meta
 
 from mast_datasets.files import Coordinate, Element, Seconds, Side, Whole, read_json, read_listed_pose
-from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, classes_of, ground_below
+from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, check_times, classes_of, ground_below
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
@@ -144,12 +144,10 @@ def read_frames(folder: Path) -> list[LabelledFrame]:
     """
     files = sorted(folder.glob("*.json"))
     frames = [frame for file in files for frame in _frames(file)]
-    for before, frame in itertools.pairwise(frames):
-        if frame.time_ns <= before.time_ns:
-            expected = f"a time later than {before.time_ns / 1e9} s in {before.properties.path.name}"
-            frame.properties["timestamp"].fail(expected)
     if not frames:
         raise SceneError(f"{folder}: found no frames in {len(files)} label files, expected at least one")
+    names = [f"{frame.properties.path.name}: {frame.properties.place}" for frame in frames]
+    check_times(folder, names, np.array([frame.time_ns for frame in frames]), math.inf)
     return frames
 
 

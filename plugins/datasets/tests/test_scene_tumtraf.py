@@ -191,7 +191,10 @@ def value(index: int, number: Any) -> Callable[[OpenLabel], object]:
     ("edit", "message"),
     [
         (lambda content: content.update(frames={"a": frame(content)}), "openlabel.frames: found 'a', expected `int`"),
-        (lambda content: frame(content)["frame_properties"].update(timestamp=7), "expected a time later than 16886"),
+        (
+            lambda content: frame(content)["frame_properties"].update(timestamp=7),
+            "time is not later than that of frame 16886",
+        ),
         (lambda content: frame(content)["frame_properties"].pop("transforms"), f"found no coordinate system '{CAR}'"),
         (lambda content: content.pop("coordinate_systems"), f"the root above {CAR} is '{POLE}', expected 's110_base'"),
         (put(pole, pose_wrt_parent={}), "s110_lidar_ouster_south.pose_wrt_parent: matrix4x4 is missing"),
