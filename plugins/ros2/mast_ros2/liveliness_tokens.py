@@ -46,7 +46,7 @@ class NodeToken:
     number:    of the node in its session
     name, namespace, enclave: such as `talker`, `/` and `/`
 
-    Raises ValueError for names, ids and numbers that are not allowed.
+    Raises ValueError for names and ids that are not allowed.
     """
 
     domain: int
@@ -60,8 +60,6 @@ class NodeToken:
         check_domain(self.domain)
         if not _SESSION.fullmatch(self.session):
             raise ValueError(f"session {self.session!r:.80}: expected 1 to 32 hexadecimal digits")
-        if self.number < 0:
-            raise ValueError(f"number: found {self.number}, expected 0 or more")
         check_node_name(self.name)
         check_namespace(self.namespace)
         check_namespace(self.enclave)
@@ -86,7 +84,7 @@ class EndpointToken:
     topic, type_name, type_hash: as `DataKey`
     qos:       quality of service, as `Qos.write` writes it
 
-    Raises ValueError for names, numbers and hashes that are not allowed.
+    Raises ValueError for names and hashes that are not allowed.
     """
 
     node: NodeToken
@@ -98,10 +96,6 @@ class EndpointToken:
     qos: str = Qos().write()
 
     def __post_init__(self) -> None:
-        if self.kind not in ENDPOINTS:
-            raise ValueError(f"kind: found {self.kind!r}, expected one of {', '.join(ENDPOINTS)}")
-        if self.number < 0:
-            raise ValueError(f"number: found {self.number}, expected 0 or more")
         _ = self.data_key  # checks the names
 
     @property

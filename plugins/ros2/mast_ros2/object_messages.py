@@ -92,22 +92,16 @@ def tracked_objects(states: ObjectStates, time_ns: int, frame_id: str) -> RosMes
     return TYPES[type_store.TRACKED_OBJECTS](header(time_ns, frame_id), objects)
 
 
-def predicted_objects(
-    states: ObjectStates, time_ns: int, frame_id: str, horizon_s: float = HORIZON_S, step_s: float = STEP_S
-) -> RosMessage:
+def predicted_objects(states: ObjectStates, time_ns: int, frame_id: str) -> RosMessage:
     """PredictedObjects of objects in the frame `frame_id`: one path each, straight on at constant velocity.
 
-    horizon_s: s, how far paths reach;  step_s: s, between their poses, the first of which is the object's own
-
-    Raises ValueError for a step that is not above 0 or beyond the horizon, and for a time that ROS cannot express.
+    The first pose of a path is the object's own. Raises ValueError for a time that ROS cannot express.
     """
-    if not 0.0 < step_s <= horizon_s:
-        raise ValueError(f"step_s: found {step_s}, expected more than 0 and at most the horizon, {horizon_s} s")
-    ahead_s = step_s * np.arange(int(horizon_s / step_s + 1e-6) + 1)
+    ahead_s = STEP_S * np.arange(int(HORIZON_S / STEP_S + 1e-6) + 1)
     places = states.position[:, None] + states.velocity[:, None] * ahead_s[:, None]
     turns = np.repeat(scalar_last_quaternions(states.yaw), len(ahead_s), axis=0)
     on_paths = poses(places.reshape(-1, 3), turns)
-    step = duration(round(step_s * 1e9))
+    step = duration(round(STEP_S * 1e9))
     kinematics = [
         _autoware.PredictedObjectKinematics(
             pose,

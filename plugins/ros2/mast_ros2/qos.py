@@ -17,17 +17,11 @@ _DEFAULT_DEPTH = 42
 class Qos:
     """Quality of service of a publisher or a subscription; by default that of ROS 2.
 
-    transient_local: whether later subscribers get the messages that are kept, too;  depth: messages kept
-
-    Raises ValueError for a depth below 1.
+    transient_local: whether later subscribers get the messages that are kept, too;  depth: messages kept, 1 or more
     """
 
     transient_local: bool = False
     depth: int = 10
-
-    def __post_init__(self) -> None:
-        if self.depth < 1:
-            raise ValueError(f"depth: found {self.depth!r}, expected 1 or more")
 
     def write(self) -> str:
         """The chunk of a token."""

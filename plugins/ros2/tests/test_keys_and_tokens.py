@@ -299,11 +299,8 @@ def test_any_bytes_are_refused_as_attachments_or_survive(data: bytes) -> None:
         lambda: DataKey(0, "/a", STRING, "12"),
         lambda: DataKey(0, "/" + "a" * 247, STRING, None),
         lambda: NodeToken(0, "", 0, "a"),
-        lambda: NodeToken(0, "a", -1, "a"),
         lambda: NodeToken(0, "a", 0, "a/b"),
         lambda: NodeToken(0, "a", 0, "a", "b"),
-        lambda: EndpointToken(NodeToken(0, "a", 0, "a"), 1, "topic", "/a", STRING, None),
-        lambda: Qos(depth=-1),
         lambda: all_tokens(-1),
     ],
 )

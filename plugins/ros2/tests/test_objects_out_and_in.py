@@ -84,25 +84,17 @@ def test_a_car_that_drives_ahead_has_a_velocity_along_x_and_one_that_stands_is_s
 
 
 def test_predicted_paths_lead_straight_on_from_where_the_object_is(states: ObjectStates) -> None:
-    message = through(predicted_objects(states, TIME_NS, "map", horizon_s=3.0, step_s=0.4))
+    message = through(predicted_objects(states, TIME_NS, "map"))
     for k, each in enumerate(message.objects):
         (path,) = each.kinematics.predicted_paths
-        assert (path.time_step.sec, path.time_step.nanosec, path.confidence) == (0, 400_000_000, 1.0)
-        assert len(path.path) == 8  # at 0 and up to 2.8 s
+        assert (path.time_step.sec, path.time_step.nanosec, path.confidence) == (0, 500_000_000, 1.0)
+        assert len(path.path) == 21, "as of Autoware: ten seconds"
         for step, pose in enumerate(path.path):
             np.testing.assert_allclose(
-                xyz(pose.position), states.position[k] + 0.4 * step * states.velocity[k], atol=1e-9
+                xyz(pose.position), states.position[k] + 0.5 * step * states.velocity[k], atol=1e-9
             )
             assert pose.orientation == path.path[0].orientation
         assert xyz(path.path[0].position) == xyz(each.kinematics.initial_pose_with_covariance.pose.position)
-    (path,) = predicted_objects(states, 0, "map").objects[0].kinematics.predicted_paths
-    assert len(path.path) == 21, "as of Autoware: ten seconds"
-
-
-@pytest.mark.parametrize("step_s", [0.0, -1.0, 11.0, float("nan")])
-def test_a_step_that_no_path_can_have_is_refused(states: ObjectStates, step_s: float) -> None:
-    with pytest.raises(ValueError, match="step_s: found"):
-        predicted_objects(states, 0, "map", horizon_s=10.0, step_s=step_s)
 
 
 def test_markers_are_coloured_boxes_after_one_that_removes_all(states: ObjectStates) -> None:
