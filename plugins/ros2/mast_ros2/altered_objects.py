@@ -15,7 +15,6 @@ from mast_ros2.received_objects import ReceivedObjects
 from mast_ros2.spatial import time_of
 from mast_ros2.type_store import RosMessage
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.errors import MessageError
 
 #: Types that can be altered.
 ALTERABLE = (type_store.TRACKED_OBJECTS, type_store.DETECTIONS)
@@ -30,10 +29,7 @@ def altered(message: RosMessage, received: ReceivedObjects[ObjectStates], wanted
 
     An object that stays has the fields of the sender, but for the pose, velocity and size that differ. Objects that
     could not be received stay as they are. New ones come last, with ids of the sender's form.
-    Raises MessageError for another type.
     """
-    if message.__msgtype__ not in ALTERABLE:
-        raise MessageError(f"{message.__msgtype__}: expected {' or '.join(ALTERABLE)}")
     is_tracked = message.__msgtype__ == type_store.TRACKED_OBJECTS
     sent: list[RosMessage] = list(message.objects if is_tracked else message.detections)
     index_of, rows = (

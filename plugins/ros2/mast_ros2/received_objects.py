@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -57,15 +57,8 @@ _CLASS_OF_NAME: Mapping[str, int] = CLASS_INDEX | {
 Objects = TypeVar("Objects", Detections, ObjectStates)
 
 
-class Uncertainty(NamedTuple):
-    """Standard deviations that are assumed where a message has none: m, m, m/s."""
-
-    position: float = 1.0
-    size: float = 0.5
-    velocity: float = 2.0
-
-
-ASSUMED = Uncertainty()
+#: Standard deviations of positions, sizes and velocities that are assumed where a message has none: m, m, m/s.
+ASSUMED_POSITION_M, ASSUMED_SIZE_M, ASSUMED_VELOCITY = 1.0, 0.5, 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,11 +103,11 @@ def received_detections(message: RosMessage) -> ReceivedObjects[Detections]:
     return _received(message, objects, rows, keep)
 
 
-def received_tracks(message: RosMessage, assumed: Uncertainty = ASSUMED) -> ReceivedObjects[ObjectStates]:
+def received_tracks(message: RosMessage) -> ReceivedObjects[ObjectStates]:
     """The tracks of TrackedObjects or of a Detection3DArray with ids, in the frame of its header.
 
-    assumed: where a covariance is 0, and for sizes, whose variances neither type has. The velocities of a
-             Detection3DArray are 0, with this uncertainty
+    Where a covariance is 0, and for sizes, whose variances neither type has, some are assumed. The velocities of a
+    Detection3DArray are 0, with such a covariance.
 
     Of several objects with one id, the first counts. Raises MessageError for another type, too many objects, or an
     invalid header.
@@ -126,9 +119,9 @@ def received_tracks(message: RosMessage, assumed: Uncertainty = ASSUMED) -> Rece
     keep = rows.usable()
     rotation = rotation_from_quaternion(rows.quaternion[keep])
     covariance = np.zeros((int(keep.sum()), 9, 9))
-    covariance[:, :3, :3] = _or_assumed(rows.position_covariance[keep], assumed.position)
-    covariance[:, 3:6, 3:6] = np.eye(3) * assumed.size**2
-    covariance[:, 6:, 6:] = _or_assumed(turned(rows.velocity_covariance[keep], rotation), assumed.velocity)
+    covariance[:, :3, :3] = _or_assumed(rows.position_covariance[keep], ASSUMED_POSITION_M)
+    covariance[:, 3:6, 3:6] = np.eye(3) * ASSUMED_SIZE_M**2
+    covariance[:, 6:, 6:] = _or_assumed(turned(rows.velocity_covariance[keep], rotation), ASSUMED_VELOCITY)
     objects = ObjectStates(
         id=rows.id[keep],
         position=rows.position[keep],

@@ -10,7 +10,7 @@ from mast_ros2.object_ids import id_of_text, id_of_uuid, uuids
 from mast_ros2.object_markers import marker_array
 from mast_ros2.object_messages import detection_array, predicted_objects, tracked_objects
 from mast_ros2.pose_messages import clock
-from mast_ros2.received_objects import Uncertainty, received_detections, received_tracks
+from mast_ros2.received_objects import received_detections, received_tracks
 from mast_ros2.type_store import TYPES
 from ros2_messages import random_message, random_states, set_to, through
 from scipy.spatial.transform import Rotation
@@ -142,7 +142,7 @@ def test_objects_of_a_detection_array_come_back_as_detections(states: ObjectStat
 
 
 def test_tracked_objects_come_back_as_tracks(states: ObjectStates) -> None:
-    received = received_tracks(through(tracked_objects(states, TIME_NS, "map")), Uncertainty(size=0.3))
+    received = received_tracks(through(tracked_objects(states, TIME_NS, "map")))
     assert (received.frame_id, received.time_ns, received.dropped, received.unclassified) == ("map", TIME_NS, {}, 0)
     tracks = received.objects
     assert_same_boxes(tracks, states)
@@ -151,7 +151,7 @@ def test_tracked_objects_come_back_as_tracks(states: ObjectStates) -> None:
     for first, end in ((0, 3), (6, 9)):
         part = np.s_[:, first:end, first:end]
         np.testing.assert_allclose(tracks.covariance[part], states.covariance[part], atol=1e-12)
-    np.testing.assert_array_equal(tracks.covariance[:, 3:6, 3:6], np.broadcast_to(np.eye(3) * 0.09, (N, 3, 3)))
+    np.testing.assert_array_equal(tracks.covariance[:, 3:6, 3:6], np.broadcast_to(np.eye(3) * 0.25, (N, 3, 3)))
 
 
 def test_received_tracks_and_detections_are_valid_messages_of_ours(states: ObjectStates) -> None:
@@ -400,9 +400,9 @@ def test_what_a_tracker_does_not_state_is_assumed(states: ObjectStates) -> None:
     partial = np.zeros((6, 6))
     partial[:2, :2] = [[0.5, 0.1], [0.1, 0.5]]
     kinematics.twist_with_covariance.covariance = partial.ravel()
-    covariance = received_tracks(message, Uncertainty(position=2.0, velocity=3.0)).objects.covariance[0]
-    np.testing.assert_array_equal(covariance[:3, :3], np.eye(3) * 4.0)
-    assert covariance[8, 8] == 9.0
+    covariance = received_tracks(message).objects.covariance[0]
+    np.testing.assert_array_equal(covariance[:3, :3], np.eye(3))
+    assert covariance[8, 8] == 4.0
     np.testing.assert_allclose(np.trace(covariance[6:8, 6:8]), 1.0)
     assert np.linalg.eigvalsh(covariance).min() > 0.0
 
