@@ -197,7 +197,7 @@ def test_in_lock_step_the_newest_frames_are_sent_at_a_pace_that_costs_little(lau
 def test_a_running_run_can_be_bridged_later_with_every_frame(launch: Launch, client_of: Any) -> None:
     with ros2_router() as router:
         client = client_of(router)
-        run = launch(*COORDINATED, "--frames", "80")
+        run = launch(*COORDINATED, "--frames", "50")
         record = run.at_frame(5)
         broker = psutil.Process(record["nodes"]["broker"]["pid"])
         broker.suspend()  # the run waits for it
