@@ -72,7 +72,6 @@ def study(
         trials=chosen["trials"],
         frames=chosen["frames"],
         seed=seed,
-        runtime="inproc",
     )
 
 

@@ -61,6 +61,5 @@ def study(
         scenes=words(chosen["scenes"]),
         trials=chosen["trials"],
         frames=frames,
-        runtime="inproc",
         seed=seed,
     )

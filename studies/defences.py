@@ -100,5 +100,4 @@ def study(
         trials=chosen["trials"],
         frames=chosen["frames"],
         seed=seed,
-        runtime="inproc",
     )

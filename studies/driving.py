@@ -87,7 +87,6 @@ def study(
         trials=chosen["trials"],
         frames=frames,
         seed=seed,
-        runtime="inproc",
     )
 
 

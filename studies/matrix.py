@@ -66,5 +66,4 @@ def study(
         trials=chosen["trials"],
         frames=frames,
         seed=seed,
-        runtime="inproc",
     )

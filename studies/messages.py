@@ -24,6 +24,5 @@ def study(n_mobile=3, junction=8, scenes=4, trials=5, frames=150, seed=3000):
         scenes=[f"intersection:{junction + i}" for i in range(scenes)],
         trials=trials,
         frames=frames,
-        runtime="inproc",
         seed=seed,
     )

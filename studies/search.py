@@ -72,5 +72,4 @@ def study(
         trials=trials,
         frames=frames,
         seed=seed,
-        runtime="inproc",
     )
