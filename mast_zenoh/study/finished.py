@@ -11,7 +11,7 @@ from pyarrow import csv
 
 from mast_zenoh.api.runs import OpenedRun
 from mast_zenoh.errors import ConfigurationError, RunFolderError
-from mast_zenoh.run_folder import read_json
+from mast_zenoh.run_folder import check_plain, read_json
 from mast_zenoh.run_folder.tables import read_arrow
 from mast_zenoh.show.compare import Comparison
 
@@ -31,10 +31,10 @@ class FinishedStudy:
         """text: its main results, as on the terminal; empty: table.md."""
         self.path = Path(path).resolve()
         self.report = self.path / "report.html"
-        names = {each.name for each in self.path.iterdir()}  # whatever study.json says, nothing outside is opened
-        runs = read_json(self.path / FILE).get("runs")
-        labels = [label for label in runs if isinstance(label, str)] if isinstance(runs, list) else []
-        self.runs = {label: OpenedRun(self.path / label) for label in labels if label in names}
+        labels = read_json(self.path / FILE).get("runs")
+        names = [each.name for each in self.path.iterdir()]  # whatever study.json says, nothing outside is opened
+        labels = [label for label in labels if label in names] if isinstance(labels, list) else []
+        self.runs = {label: OpenedRun(self.path / label) for label in labels}
         self._text = text
 
     def table(self) -> pyarrow.Table:
@@ -69,7 +69,7 @@ class FinishedStudy:
     def _of_trials(self, name: str) -> Path:
         if not (self.path / name).is_file():
             raise RunFolderError(f"{self.path / name}: missing: only a study with `trials` writes it")
-        return self.path / name
+        return check_plain(self.path / name)
 
     def __str__(self) -> str:
         """The main results, as on the terminal."""

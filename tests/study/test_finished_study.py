@@ -31,7 +31,7 @@ def test_a_study_of_single_runs_is_opened_with_its_runs(tmp_path: Path) -> None:
     assert str(opened) == str(made)
 
 
-@pytest.mark.parametrize("runs", [None, 3, {"a": 1}, ["..", "../x", "/etc", 7, "nosuch"]])
+@pytest.mark.parametrize("runs", [None, 3, {"a": 1}, ["..", "../x", "/etc", 7, [], "nosuch"]])
 def test_nothing_outside_a_folder_is_opened_whatever_its_study_json_says(tmp_path: Path, runs: object) -> None:
     (tmp_path / "study.json").write_text(json.dumps({"runs": runs}))
     opened = mast.open(tmp_path)

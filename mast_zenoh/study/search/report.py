@@ -44,11 +44,9 @@ from mast_zenoh.study.search.results import ESTIMATES, SearchResults
 
 
 def write(folder: Path, results: SearchResults) -> StudyFiles:
-    """Write search.md, search.csv, candidates.csv, search.json and the figure into the study's folder."""
+    """Write search.md, .csv and .tex, candidates.csv, search.json and the figure into the study's folder."""
     tables, figure = search_tables(results), search_figure(results)
-    texts = {
-        "search.md": tables.as_markdown(),
-        "search.csv": tables.as_csv(),
+    texts = tables.texts("search") | {
         "candidates.csv": candidates_csv(results),
         "search.json": json.dumps(run_folder.finite(as_json(results)), indent=2, allow_nan=False) + "\n",
     }
