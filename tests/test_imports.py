@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 from mast_zenoh.layers import LAYERS
@@ -14,13 +15,19 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 NODES = sorted((ROOT / "nodes").glob("*.py"))
 
 
+@cache
+def statements(path: Path) -> list[ast.Import | ast.ImportFrom]:
+    """All statements of a file that import."""
+    return [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
 def imported(path: Path) -> set[str]:
     """Full names of all modules that a file imports."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in statements(path):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
+        elif node.module:
             names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
     return names
 
@@ -49,7 +56,7 @@ def test_no_module_imports_from_the_public_api() -> None:
             first, *inner = name.split(".")
             if first == "mast_zenoh" and len(inner) == 1 and inner[0] not in RANK:
                 of_the_api.append(f"{path.relative_to(ROOT)} imports {name}")
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in statements(path):
             if isinstance(node, ast.Import) and "mast_zenoh" in {alias.name for alias in node.names}:
                 of_the_api.append(f"{path.relative_to(ROOT)} imports mast_zenoh")
     assert not of_the_api
@@ -64,10 +71,10 @@ def module_of(path: Path) -> str:
 def imported_modules(path: Path, modules: set[str]) -> set[str]:
     """All modules of the package that a file imports, also for type checking."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in statements(path):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
+        else:
             assert not node.level, f"{path}: a relative import"
             full = {f"{node.module}.{alias.name}" for alias in node.names}
             names |= {name if name in modules else str(node.module) for name in full}

@@ -8,7 +8,6 @@ import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import savgol_filter
 
 from mast_zenoh.driving.braking import Belief, Commands
 from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2
@@ -192,6 +191,8 @@ def test_near_misses_are_objects_that_were_not_hit() -> None:
 
 @given(st.lists(st.tuples(st.floats(0, 20), st.floats(-3, 3)), min_size=20, max_size=40))
 def test_uncomfortable_times_are_those_of_differences_smoothed_by_scipy(rows: list) -> None:
+    from scipy.signal import savgol_filter  # slow, and nothing else needs it
+
     speed, heading = np.array(rows).T
     velocity = np.column_stack([speed * np.cos(heading), speed * np.sin(heading), np.zeros(len(rows))])
     own = VehicleCourse(np.zeros((len(rows), 3)), velocity, heading, *SIZE)

@@ -8,16 +8,22 @@ from typing import Any
 import numpy as np
 import pytest
 from plain_record import PlainRecord, assert_same_boxes
-from rerun.chunk import RrdReader
 
 import mast_zenoh as mast
 
 
 @pytest.fixture(scope="module")
-def rows(exported_to: Callable[[str], Path]) -> dict[str, list[dict[str, Any]]]:
+def reader(exported_to: Callable[[str], Path]) -> Any:
+    from rerun.chunk import RrdReader  # slow, and nothing else needs it
+
+    return RrdReader(exported_to("rrd"))
+
+
+@pytest.fixture(scope="module")
+def rows(reader: Any) -> dict[str, list[dict[str, Any]]]:
     """By entity, its rows, with components by name."""
     result: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for chunk in RrdReader(exported_to("rrd")).stream():
+    for chunk in reader.stream():
         result[chunk.entity_path.lstrip("/")] += chunk.to_record_batch().to_pylist()
     return result
 
@@ -84,8 +90,7 @@ def test_scores_log_and_inserted_objects_are_there(rows: Any, recorded: mast.Run
     assert sum(label.startswith("inserted by") for label in labels) == inserted > 20
 
 
-def test_the_blueprint_shows_entities_of_the_file(exported_to: Callable[[str], Path], rows: Any) -> None:
-    reader = RrdReader(exported_to("rrd"))
+def test_the_blueprint_shows_entities_of_the_file(reader: Any, rows: Any) -> None:
     (blueprint,) = reader.blueprints()
     assert blueprint.application_id == reader.recordings()[0].application_id == "mast-zenoh"
     content = [row for chunk in reader.stream(store=blueprint) for row in without_times(chunk)]

@@ -37,5 +37,5 @@ def test_options_that_do_not_fit_a_run_are_refused_by_name(tmp_path: Path, monke
     statuses = {"done": "finished", "busy": "running"}
     monkeypatch.setattr(observers, "record_of", lambda folder: {"status": statuses[folder.name]})
     for one, other in (("done", "busy"), ("busy", "done")):
-        with pytest.raises(RunFolderError, match="busy: the run is still in progress"):
+        with pytest.raises(RunFolderError, match=r"busy.*still.*progress"):
             view.view(str(tmp_path / one), tmp_path / other)

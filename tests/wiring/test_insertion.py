@@ -92,7 +92,7 @@ def test_an_inserted_node_comes_before_branches_whose_nodes_cannot_be_released()
     assert wiring.wires[0].branches == BRANCHED.wires[0].branches
     assert wiring.wires[0].subscribers == BRANCHED.wires[0].subscribers
     assert remove(wiring, "m") == BRANCHED
-    with pytest.raises(WiringError, match="link begins the branch of one subscriber of 'a/tracks'"):
+    with pytest.raises(WiringError, match=r"begins.*subscriber.*'a/tracks'"):
         remove(wiring, "link")
 
 
@@ -108,21 +108,21 @@ def test_nodes_come_and_go_before_one_subscriber_that_has_a_branch_and_nobody_el
     assert remove(both, "n") == one
     assert remove(remove(both, "m"), "n") == BRANCHED
     assert never_inserted(both, {"m", "n"}) == BRANCHED
-    with pytest.raises(WiringError, match="no node is before c alone on 'a/tracks', and a subscriber keeps"):
+    with pytest.raises(WiringError, match=r"before.*'a/tracks'.*subscriber"):
         insert(BRANCHED, "m", InsertionPoint("a/tracks", "in", "out", before="c"))
-    with pytest.raises(WiringError, match="'d' does not subscribe to 'a/tracks'"):
+    with pytest.raises(WiringError, match=r"'d'.*subscribe.*'a/tracks'"):
         insert(BRANCHED, "m", InsertionPoint("a/tracks", "in", "out", before="d"))
 
 
 @pytest.mark.parametrize(
     ("node", "place", "what"),
     [
-        ("m", InsertionPoint("a/track", "in", "out"), r"no wire 'a/track'; did you mean 'a/tracks'\?"),
-        ("m", InsertionPoint("a/tracks", "in", "out", {"clok": "clock"}), r"no wire 'clok'; did you mean 'clock'\?"),
-        ("b", InsertionPoint("a/tracks", "in", "out"), "b is already on the wire 'a/tracks'"),
-        ("d", InsertionPoint("b/out", "in", "out"), "d is already on the wire 'b/out'"),
-        ("a/b", InsertionPoint("a/tracks", "in", "out"), "one chunk of a key expression"),
-        ("m", InsertionPoint("a/tracks", "in", "out", {}, (wire("clock", "m", "c"),)), "already has a publisher"),
+        ("m", InsertionPoint("a/track", "in", "out"), r"wire 'a/track'.*'a/tracks'"),
+        ("m", InsertionPoint("a/tracks", "in", "out", {"clok": "clock"}), r"wire 'clok'.*'clock'"),
+        ("b", InsertionPoint("a/tracks", "in", "out"), r"already.*wire 'a/tracks'"),
+        ("d", InsertionPoint("b/out", "in", "out"), r"already.*wire 'b/out'"),
+        ("a/b", InsertionPoint("a/tracks", "in", "out"), r"chunk.*key expression"),
+        ("m", InsertionPoint("a/tracks", "in", "out", {}, (wire("clock", "m", "c"),)), r"already.*publisher"),
     ],
 )
 def test_an_impossible_insertion_is_refused(node: str, place: InsertionPoint, what: str) -> None:
@@ -132,11 +132,11 @@ def test_an_impossible_insertion_is_refused(node: str, place: InsertionPoint, wh
 
 def test_only_a_node_on_a_wire_can_be_removed_and_the_wire_must_have_only_one() -> None:
     both = insert(insert(PLAIN, "m", InsertionPoint("clock", "in", "out")), "n", InsertionPoint("clock", "in", "out"))
-    with pytest.raises(WiringError, match=r"no node 'mm' is on a wire; did you mean 'm'\?"):
+    with pytest.raises(WiringError, match=r"node 'mm'.*'m'"):
         remove(both, "mm")
-    with pytest.raises(WiringError, match="the wire 'clock': found m, n on it"):
+    with pytest.raises(WiringError, match=r"wire 'clock'.*m"):
         interposer_of(both, "clock")
-    with pytest.raises(WiringError, match="the wire 'b/out': found no node on it"):
+    with pytest.raises(WiringError, match=r"wire 'b/out'.*node"):
         interposer_of(both, "b/out")
 
 

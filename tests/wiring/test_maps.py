@@ -95,9 +95,9 @@ def test_other_leads_to_the_nodes_of_all_other_agents() -> None:
     wires = {wire.key: [end.node for end in wire.subscribers] for wire in wiring.wires}
     assert wires["agent/ego/broadcast"] == ["peer_infra_1", "peer_infra_2"]
     assert wires["agent/infra_1/broadcast"] == ["peer_ego", "peer_infra_2"]
-    with pytest.raises(WiringError, match=r"peer_ego would receive its own messages on 'agent/ego/broadcast'"):
+    with pytest.raises(WiringError, match=r"peer_ego.*messages.*'agent/ego/broadcast'"):
         resolve(PEERS, broadcasts("peer.heard"))
-    with pytest.raises(WiringError, match=r"'others peer\.heard' is not an endpoint, expected role\.port, or other"):
+    with pytest.raises(WiringError, match=r"'others peer\.heard'.*role\.port"):
         resolve(PEERS, broadcasts("others peer.heard"))
 
 
@@ -117,7 +117,7 @@ def test_each_further_sensor_of_an_agent_has_a_wire_for_interposers_of_its_agent
     assert wiring.ports("infra_1").inputs["agent/infra_1/detections/radar"].subject == "infra_1/radar"
     assert wiring.ports("adversary_1").outputs["said", "infra_1/radar"] == "agent/infra_1/detections/radar"
     assert Wiring.from_json(wiring.to_json()) == wiring
-    with pytest.raises(WiringError, match="no adversary belongs to 'agent/ego/detections'"):
+    with pytest.raises(WiringError, match=r"adversary belongs.*'agent/ego/detections'"):
         resolve(nodes, {"insert": [{**insertion()["insert"][0], "wire": "agent/ego/detections"}]})
 
 
@@ -138,22 +138,22 @@ def test_a_port_cannot_publish_two_wires_of_one_agent() -> None:
 @pytest.mark.parametrize(
     ("source", "reason"),
     [
-        ({"wires": []}, "unknown key 'wires'; did you mean 'wire'"),
-        ({"wire": [{"key": "x"}]}, "missing keys 'from', 'message', 'to'"),
-        ({"wire": [dict(MAP["wire"][0], key="y", message="detection")]}, "did you mean 'detections'"),
-        ({"wire": [dict(MAP["wire"][0], key="a//b")]}, "not a valid key expression"),
-        ({"wire": [dict(MAP["wire"][0], key="a/*/b")]}, "not a valid key expression"),
-        ({"wire": [dict(MAP["wire"][0], key="a/@b")]}, "not a valid key expression"),
+        ({"wires": []}, r"unknown.*'wires'.*'wire'"),
+        ({"wire": [{"key": "x"}]}, "'from', 'message', 'to'"),
+        ({"wire": [dict(MAP["wire"][0], key="y", message="detection")]}, "mean 'detections'"),
+        ({"wire": [dict(MAP["wire"][0], key="a//b")]}, "valid key expression"),
+        ({"wire": [dict(MAP["wire"][0], key="a/*/b")]}, "valid key expression"),
+        ({"wire": [dict(MAP["wire"][0], key="a/@b")]}, "valid key expression"),
         ({"wire": [dict(MAP["wire"][0], key="{agent}/{broker}")]}, "2 placeholders"),
-        ({"wire": [dict(MAP["wire"][0])]}, "already has a publisher"),
-        ({"wire": [dict(MAP["wire"][0], key="y", **{"from": "simulator.detection"})]}, "did you mean 'detections'"),
-        ({"wire": [dict(MAP["wire"][0], key="y", **{"from": "simulater.detections"})]}, "did you mean 'simulator'"),
+        ({"wire": [dict(MAP["wire"][0])]}, r"already.*publisher"),
+        ({"wire": [dict(MAP["wire"][0], key="y", **{"from": "simulator.detection"})]}, "mean 'detections'"),
+        ({"wire": [dict(MAP["wire"][0], key="y", **{"from": "simulater.detections"})]}, "mean 'simulator'"),
         ({"wire": [dict(MAP["wire"][0], key="y", **{"from": "simulator"})]}, "expected role.port"),
         ({"wire": [dict(MAP["wire"][1], key="all/tracks")]}, "2 publishers"),
-        ({"wire": [dict(MAP["wire"][0], key="y", to=["agent.tracks"])]}, "no input port 'tracks'"),
+        ({"wire": [dict(MAP["wire"][0], key="y", to=["agent.tracks"])]}, "input port 'tracks'"),
         ({"wire": [dict(MAP["wire"][0], key="y", **{"from": "simulator.clock"})]}, "carries 'clock' messages"),
         ({"insert": [dict(insertion()["insert"][0], wire="agent/{agent}/detection")]}, "did you mean"),
-        ({"insert": [dict(insertion()["insert"][0], role="agent")]}, "has no input port 'seen'"),
+        ({"insert": [dict(insertion()["insert"][0], role="agent")]}, "input port 'seen'"),
     ],
 )
 def test_an_invalid_map_is_refused_with_file_entry_and_reason(source: dict, reason: str) -> None:
@@ -169,12 +169,12 @@ def test_a_name_that_is_not_a_key_chunk_is_refused() -> None:
 
 
 def test_a_missing_or_broken_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(WiringError, match=r"did you mean 'on_detections\.toml'"):
+    with pytest.raises(WiringError, match=r"mean 'on_detections\.toml'"):
         maps.load(MAPS / "on_detection.toml")
     (tmp_path / "map.toml").write_text("[[wire")
     with pytest.raises(WiringError, match="not TOML"):
         maps.load(tmp_path / "map.toml")
-    with pytest.raises(WiringError, match="Is a directory, expected a key-expression map"):
+    with pytest.raises(WiringError, match=r"directory.*key-expression map"):
         maps.load(tmp_path)
 
 
@@ -199,7 +199,7 @@ def test_a_node_that_receives_every_key_receives_tap_legs_and_is_on_no_wire() ->
     assert ("agent/ego/detections/@tap/0", "simulator", "ear") in set(wiring.flows())
     assert Wiring.from_json(wiring.to_json()) == wiring
     lines = to_text(wiring).splitlines()
-    assert lines[-1] == "ear subscribes to every key"
+    assert "subscribes to every" in lines[-1]
     assert lines[:-1] == to_text(without).splitlines()
     assert to_mermaid(wiring) == to_mermaid(without)
 
@@ -207,7 +207,7 @@ def test_a_node_that_receives_every_key_receives_tap_legs_and_is_on_no_wire() ->
 @pytest.mark.parametrize("more", [dict(outputs="tracks:tracks"), dict(inputs="everything:* clock:clock")])
 def test_a_node_that_receives_every_key_has_no_other_port(more: dict[str, str]) -> None:
     ear = node("recorder", **(dict(inputs="everything:*") | more))
-    with pytest.raises(WiringError, match=r"node 'ear': a node that subscribes to every key .* has no other"):
+    with pytest.raises(WiringError, match=r"'ear'.*subscribes.*every"):
         resolve({"simulator": SIMULATOR, "ego": AGENT, "broker": BROKER, "ear": ear})
 
 

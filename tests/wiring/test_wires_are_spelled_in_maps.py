@@ -28,16 +28,17 @@ OTHERS = {"mast_zenoh/show/export/rrd.py"}
 
 def spelled(tree: ast.Module) -> list[str]:
     """Texts of a module that are a key, and ports that it compares with."""
+    nodes = [*ast.walk(tree)]
     texts = [
         "".join(part.value if isinstance(part, ast.Constant) else "x" for part in node.values)
         if isinstance(node, ast.JoinedStr)
         else node.value
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str))
     ]
     compared = [
         part.value
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.Compare) and any(getattr(side, "attr", "") == "port" for side in ast.walk(node))
         for part in ast.walk(node)
         if isinstance(part, ast.Constant)

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 import zenoh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from ports import node
 
@@ -57,10 +57,10 @@ def resolve(nodes: dict[str, NodeOptions], *rewrites: dict, wires: tuple[dict, .
 @pytest.mark.parametrize(
     ("rewrite", "reason"),
     [
-        (up(to="brokre"), "file_1.toml: insert 1: to: no role 'brokre' subscribes to .*did you mean 'broker'"),
-        (up(to="agent"), "no role 'agent' subscribes to the wire 'agent/{agent}/tracks'; known: broker, evaluator"),
-        (up(to=["broker"]), "no role .* subscribes to the wire"),
-        (up(to=""), "no role '' subscribes to the wire"),
+        (up(to="brokre"), r"file_1.toml.*'brokre'.*'broker'"),
+        (up(to="agent"), r"'agent'.*'agent/{agent}/tracks'; known"),
+        (up(to=["broker"]), r"role.*subscribes.*wire"),
+        (up(to=""), "role '' subscribes"),
     ],
 )
 def test_a_rewrite_for_a_role_that_does_not_subscribe_to_the_wire_is_refused(rewrite: dict, reason: str) -> None:
@@ -69,7 +69,7 @@ def test_a_rewrite_for_a_role_that_does_not_subscribe_to_the_wire_is_refused(rew
 
 
 def test_a_link_before_one_of_several_subscribers_must_name_the_subscriber() -> None:
-    with pytest.raises(WiringError, match="'cc/picture' leads to ego, infra_1: the option `agent` of link_1 must"):
+    with pytest.raises(WiringError, match=r"'cc/picture'.*infra_1.*link_1"):
         resolve(world("ego", "infra_1", link_1=node("link", *PORTS)), down())
     assert resolve(world("ego", link_1=node("link", *PORTS)), down()).ports("ego").inputs.keys() == {
         "cc/picture/@tap/ego/0"
@@ -79,7 +79,7 @@ def test_a_link_before_one_of_several_subscribers_must_name_the_subscriber() -> 
 def test_a_node_is_on_a_wire_only_once() -> None:
     nodes = world("ego", link_1=node("link", *PORTS, agent="ego"))
     for rewrites in ((up(), up()), (up(), up(to="evaluator")), (up(to=None), up()), (up(), up(to=None))):
-        with pytest.raises(WiringError, match="link_1 is already on the wire 'agent/ego/tracks'"):
+        with pytest.raises(WiringError, match=r"link_1.*already.*'agent/ego/tracks'"):
             resolve(nodes, *rewrites)
 
 
@@ -87,7 +87,6 @@ names = st.from_regex(r"[a-z0-9]{1,4}", fullmatch=True)
 
 
 @given(agents=st.lists(names, min_size=1, max_size=4, unique=True), data=st.data())
-@settings(max_examples=80)
 def test_any_mix_of_links_and_adversaries_delivers_every_wire_once_to_every_subscriber(agents, data) -> None:
     nodes = world(*(f"a_{name}" for name in agents))
     plain = resolve(nodes)
@@ -232,13 +231,13 @@ def test_the_links_of_all_other_agents_come_before_the_peers_that_their_options_
 
 
 def test_an_agents_own_link_cannot_come_before_its_peer_which_does_not_hear_it() -> None:
-    with pytest.raises(WiringError, match="link_ego is to come before peer_ego, but 'agent/ego/broadcast' leads to"):
+    with pytest.raises(WiringError, match=r"link_ego.*peer_ego.*'agent/ego/broadcast'"):
         resolve(hearing("ego"), before_peers("link"), wires=(HEARD,))
 
 
 def test_an_optional_rewrite_for_a_role_that_does_not_subscribe_is_left_out() -> None:
     nodes = hearing("ego")
-    with pytest.raises(WiringError, match="no role 'broker' subscribes to the wire"):
+    with pytest.raises(WiringError, match="role 'broker' subscribes"):
         resolve(nodes, before_peers(to="broker"), wires=(HEARD,))
     plain = resolve(nodes, wires=(HEARD,))
     assert resolve(nodes, before_peers(to="broker", optional=True), wires=(HEARD,)) == plain

@@ -134,7 +134,7 @@ def test_columns_keep_their_numbers_within_half_their_resolution() -> None:
     for name, (scale, values) in columns.items():
         assert found[name].shape == values.shape
         assert np.all(np.abs(found[name] - values) <= scale / 2 + 1e-9 * np.abs(values))
-    with pytest.raises(ValueError, match="odd: expected finite numbers"):
+    with pytest.raises(ValueError, match=r"odd.*finite numbers"):
         packer.add("odd", np.array([np.nan]))
 
 

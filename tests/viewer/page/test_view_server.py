@@ -34,7 +34,7 @@ def test_the_page_alone_is_served_with_a_policy_that_admits_no_other_host(server
 
 
 def test_a_port_in_use_is_refused_by_name(server: PageServer) -> None:
-    with pytest.raises(ConfigurationError, match=f"--port: found {server.port}, which cannot be used"):
+    with pytest.raises(ConfigurationError, match=f"--port.*{server.port}.*used"):
         PageServer(b"", "", server.port)
 
 
@@ -42,7 +42,7 @@ def test_folders_that_hold_nothing_to_show_are_refused(tmp_path: Path, attacked_
     with pytest.raises(RunFolderError, match="no such folder"):
         viewer_page([tmp_path / "nothing"])
     (tmp_path / "run.json").write_text("{}")
-    with pytest.raises(RunFolderError, match=r"expected objects\.parquet or scene\.npz"):
+    with pytest.raises(RunFolderError, match=r"objects\.parquet.*scene\.npz"):
         viewer_page([tmp_path])
 
 
@@ -52,7 +52,7 @@ def test_runs_without_a_common_agent_are_refused(attacked_run: Path, tmp_path: P
     (other / "run.json").write_text("{}")
     (other / "metrics.json").write_text('{"agents": {"stranger": {}}}')
     (other / "objects.parquet").write_bytes((attacked_run / "objects.parquet").read_bytes())
-    with pytest.raises(NotComparable, match="expected runs with a common agent"):
+    with pytest.raises(NotComparable, match=r"runs.*common agent"):
         viewer_page([attacked_run, other])
 
 
