@@ -55,13 +55,13 @@ def check_schedules(seeds: range, tmp_path: Path) -> None:
 
 
 def test_random_schedules_in_one_process_pass_all_checks(tmp_path: Path) -> None:
-    check_schedules(range(10), tmp_path)
+    check_schedules(range(4), tmp_path)
 
 
 @pytest.mark.heavy
 @pytest.mark.timeout(600)
 def test_more_random_schedules_in_one_process_pass_all_checks(tmp_path: Path, fuzzing: Fuzzing) -> None:
-    check_schedules(range(10, fuzzing.draws(40, 200)), tmp_path)
+    check_schedules(range(4, fuzzing.draws(40, 200)), tmp_path)
 
 
 @pytest.mark.mesh

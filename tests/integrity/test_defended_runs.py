@@ -10,7 +10,7 @@ from mast_zenoh.testing.fixtures import play
 
 __all__ = ["play"]
 
-FRAMES, SEED = 70, 1
+FRAMES, SEED = 50, 1
 
 
 def false_objects(run: mast.Run, estimate: str = "picture") -> float:

@@ -13,7 +13,7 @@ from mast_zenoh.launch import measurement, replay
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.replay.cut import Place
 
-FRAMES = 40
+FRAMES = 30
 GHOSTS = ("attack=GhostAhead", "attack_start_s=1.0")
 
 
