@@ -4,7 +4,7 @@ BIN := .venv/bin
 TOOLS := .venv/tools/bin
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run kernels dev test test-all fuzz insiders lint lint-js bench bench-quick docs pictures lock dist clean plugin-missing
+.PHONY: run kernels dev test test-all fuzz insiders lint lint-js lint-project bench bench-quick docs pictures lock dist wheels clean plugin-missing
 
 # Installs only what running needs; the other targets add the tools for tests and development.
 # `make run ARGS=--record` also writes every message.
@@ -44,11 +44,24 @@ fuzz: .venv/ready
 insiders: .venv/ready
 	MAST_FORGERIES=200 $(BIN)/python -m pytest tests/deploy/test_insiders.py tests/mesh/test_secure_insider.py --timeout=600
 
-lint: .venv/ready
+lint: .venv/ready lint-project
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(if $(shell command -v npm),$(MAKE) lint-js)
+
+# Files that only GitHub, PyPI and the builders of wheels read: against their schemas, and for workflows that a stranger could
+# misuse. Nothing is asked on the network.
+SCHEMA := $(TOOLS)/check-jsonschema --quiet --builtin-schema
+lint-project: .venv/tools/ready
+	$(SCHEMA) vendor.github-workflows .github/workflows/*.yml
+	$(SCHEMA) vendor.github-issue-config .github/ISSUE_TEMPLATE/config.yml
+	$(SCHEMA) vendor.github-issue-forms $(filter-out %/config.yml,$(wildcard .github/ISSUE_TEMPLATE/*.yml))
+	$(SCHEMA) vendor.dependabot .github/dependabot.yml
+	$(SCHEMA) vendor.citation-file-format CITATION.cff
+	$(TOOLS)/zizmor --offline --quiet .github
+	$(TOOLS)/validate-pyproject pyproject.toml plugins/*/pyproject.toml
+	$(TOOLS)/cibuildwheel --platform linux --archs x86_64,aarch64 --print-build-identifiers
 
 # The page's JavaScript: lint, types by JSDoc, unit tests. Node and npm are for development only.
 lint-js: node_modules/ready
@@ -94,6 +107,10 @@ dist: .venv/ready .venv/tools/ready
 	$(TOOLS)/uv pip install --quiet --python dist/installed --constraint requirements-dev.txt dist/*.whl
 	$(TOOLS)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --output-file dist/mast-zenoh.cdx.json dist/installed
 	rm -rf dist/installed
+
+# Wheels for all Linux machines with this processor, one for each Python: needs a container engine.
+wheels: .venv/tools/ready
+	$(TOOLS)/cibuildwheel --platform linux --output-dir dist/wheels
 
 # Kernels are compiled when the package is installed, and again when their sources change. pip hides how that ended, so
 # the last command tells. Other packages come from the lock file; with --no-build-isolation, the build uses them too.

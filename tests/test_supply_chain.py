@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import re
 import tomllib
+from itertools import chain
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.markers import default_environment
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+import mast_zenoh
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -112,3 +116,32 @@ def test_requirements_have_upper_bounds_where_a_major_version_could_break_the_pa
         operators = {specifier.operator for specifier in requirement.specifier}
         assert ">=" in operators, text
         assert ("<" in operators) != (requirement.name in UNBOUNDED), text
+
+
+DISTRIBUTIONS = [
+    tomllib.loads(path.read_text(encoding="utf-8"))["project"]
+    for path in (ROOT / "pyproject.toml", *sorted((ROOT / "plugins").glob("*/pyproject.toml")))
+]
+
+
+def test_the_three_distributions_have_one_version_and_license_and_accept_each_other() -> None:
+    names = ["mast-zenoh", "mast-zenoh-datasets", "mast-zenoh-ros2"]
+    assert [project["name"] for project in DISTRIBUTIONS] == names
+    for key, value in (("version", mast_zenoh.__version__), ("license", "Apache-2.0"), ("requires-python", ">=3.11")):
+        assert {project[key] for project in DISTRIBUTIONS} == {value}, key
+    for project in DISTRIBUTIONS:
+        texts = [*project["dependencies"], *chain.from_iterable(project.get("optional-dependencies", {}).values())]
+        ours = [requirement for requirement in map(Requirement, texts) if requirement.name in names]
+        assert ours, project["name"]
+        for requirement in ours:
+            assert requirement.specifier.contains(mast_zenoh.__version__), f"{project['name']} needs {requirement}"
+
+
+def test_releases_have_wheels_for_every_python_that_the_workflow_tests() -> None:
+    workflows = ROOT / ".github" / "workflows"
+    tested = yaml.safe_load((workflows / "test.yml").read_text("utf-8"))["jobs"]["test"]["strategy"]["matrix"]["python"]
+    built = PROJECT["tool"]["cibuildwheel"]["build"]
+    assert tuple(tested) == PYTHONS
+    assert built == [f"cp{python.replace('.', '')}-manylinux_*" for python in PYTHONS]
+    published = yaml.safe_load((workflows / "release.yml").read_text("utf-8"))["jobs"]["publish"]["strategy"]["matrix"]
+    assert published["distribution"] == [project["name"] for project in DISTRIBUTIONS]
