@@ -7,6 +7,7 @@ import tomllib
 from itertools import chain
 from pathlib import Path
 
+import licences
 import pytest
 import yaml
 from packaging.markers import default_environment
@@ -145,3 +146,18 @@ def test_releases_have_wheels_for_every_python_that_the_workflow_tests() -> None
     assert built == [f"cp{python.replace('.', '')}-manylinux_*" for python in PYTHONS]
     published = yaml.safe_load((workflows / "release.yml").read_text("utf-8"))["jobs"]["publish"]["strategy"]["matrix"]
     assert published["distribution"] == [project["name"] for project in DISTRIBUTIONS]
+
+
+def test_every_locked_package_has_a_licence_on_the_page_and_installed_ones_the_licence_that_they_state() -> None:
+    licences_on_page = licences.written()
+    assert set(licences.LOCKS) == set(LOCKS)
+    assert licences_on_page.keys() == licences.locked().keys(), "run `python tools/licences.py`"
+    assert licences.PAGE.read_text(encoding="utf-8") == licences.page(licences_on_page)
+    stated = {name: licence for name, licence in licences.installed() if name in licences_on_page and licence}
+    assert {"numpy", "pytest"} <= stated.keys()
+    assert stated.items() <= licences_on_page.items(), "run `python tools/licences.py`"
+
+
+def test_nothing_that_running_needs_is_under_the_gpl() -> None:
+    running = {name for name, purpose in licences.locked().items() if purpose == "running"}
+    assert not [name for name in running if "GPL" in licences.written()[name]]
