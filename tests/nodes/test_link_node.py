@@ -152,7 +152,7 @@ rules = st.lists(st.sampled_from(EVERY_RULE), max_size=5)
 
 @given(up=rules, down=rules, shuffle=st.integers(0, 1000), encode=st.booleans())
 @example(up=EVERY_RULE, down=EVERY_RULE, shuffle=1, encode=False)
-@settings(max_examples=12)
+@settings(max_examples=6)
 def test_with_any_rules_a_run_does_not_depend_on_delivery_order_or_encoding(up, down, shuffle, encode) -> None:
     resolved = world(up, down, frames=10)
     plain, other = Run(resolved), Run(resolved, shuffle=shuffle, encode=encode)
