@@ -102,7 +102,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pages")
     (folder / "mine.py").write_text(SCENARIO.format(metric=metric, options=", ".join(options)))
     path, content = scenario.load(str(folder / "mine.py"))
-    outcome = launcher.run(scenario.resolve(path, content, frames=80), folder / "run", runtime="inproc")
+    outcome = launcher.run(scenario.resolve(path, content, frames=40), folder / "run", runtime="inproc")
     assert outcome.error is None
     return outcome.folder
 

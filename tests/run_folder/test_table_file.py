@@ -252,11 +252,10 @@ def test_no_byte_of_a_footer_ends_the_process(tmp_path: Path) -> None:
     whole = (tmp_path / "t.parquet").read_bytes()
     start = len(whole) - 8 - int.from_bytes(whole[-8:-4], "little")
     for at in range(start, len(whole)):
-        for bits in (1, 255):
-            (tmp_path / "t.parquet").write_bytes(whole)
-            flipped(tmp_path / "t.parquet", at, bits)
-            with suppress(RunFolderError):
-                read_table(tmp_path / "t.parquet")
+        (tmp_path / "t.parquet").write_bytes(whole)
+        flipped(tmp_path / "t.parquet", at, 255 if at % 2 else 1)
+        with suppress(RunFolderError):
+            read_table(tmp_path / "t.parquet")
 
 
 @given(data=st.data())
