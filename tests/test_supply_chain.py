@@ -161,3 +161,10 @@ def test_every_locked_package_has_a_licence_on_the_page_and_installed_ones_the_l
 def test_nothing_that_running_needs_is_under_the_gpl() -> None:
     running = {name for name, purpose in licences.locked().items() if purpose == "running"}
     assert not [name for name in running if "GPL" in licences.written()[name]]
+
+
+def test_every_package_that_running_needs_has_a_reason_in_contributing() -> None:
+    section = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").split("## What running needs")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| ([\w, -]+) \| [\d.]+ \| \w.* \|$", section, flags=re.MULTILINE)
+    explained = sorted(name for row in rows for name in row.split(", "))
+    assert explained == sorted({canonicalize_name(entry.name) for entry in locked("requirements.txt")})
