@@ -31,7 +31,7 @@ KEYS = {
     "runtime": "mesh or inproc",
     "kind": "what is measured of each trial, and the tables and figures: a subclass of Kind (docs/studies.md)",
     "per_trial": "launch-time parameters that get each trial's seed and frames: dict(seed=…, frames=…)",
-    "search": "parameters of a run that are searched for the greatest harm (docs/search.md)",
+    "search": "parameters of a run that are searched for the greatest harm (docs/searches.md)",
     "driven": "dict(scenario=…, parameters=…, frames=…) with drivers: run after single runs, and its unattacked twin",
     "security": "security levels at which the `attempts` are made",
     "attempts": "attacks by somebody without a role in the run: a list of Attempt (docs/security.md)",

@@ -305,7 +305,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
     "scene_arrays.md": [None] * 3,  # test_page_examples.py
     "scenarios.md": [whole_scenario, results_of_a_node],
-    "search.md": [study_with_a_search],
+    "searches.md": [study_with_a_search],
     "security.md": [attempts_of_ones_own, expired_credentials],
     "sensors.md": [None] * 3,  # test_page_examples.py
     "simulation.md": [simulated_run] * 4,

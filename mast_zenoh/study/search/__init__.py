@@ -6,7 +6,7 @@
     results    what was found: Optuna's study of the candidates, and each configuration on the other seeds
     report     what a reader sees of it: tables, a figure, files
 
-See docs/search.md.
+See docs/searches.md.
 """
 
 from mast_zenoh.errors import ConfigurationError
