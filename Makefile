@@ -2,9 +2,10 @@
 PYTHON ?= python3
 BIN := .venv/bin
 TOOLS := .venv/tools/bin
+SITE := .venv/site
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run kernels dev test test-all fuzz insiders lint lint-js lint-project bench bench-quick docs pictures lock dist wheels clean plugin-missing
+.PHONY: run kernels dev test test-all fuzz insiders lint lint-js lint-project bench bench-quick docs site pictures lock dist wheels clean plugin-missing
 
 # Installs only what running needs; the other targets add the tools for tests and development.
 # `make run ARGS=--record` also writes every message.
@@ -27,7 +28,7 @@ test: .venv/ready
 	$(PYTEST) $(or $(TESTS),-m 'not heavy')
 
 # These, then the heavy ones: containers, hosts, browsers, the commands of pages, every way to end a run.
-test-all: test .venv/ros2/ready .venv/sumo
+test-all: test .venv/ros2/ready .venv/sumo .venv/site/ready
 	$(PYTEST) -n 4 -m heavy
 
 # Random draws, many more than `make test-all` makes; `make fuzz SEED=7` repeats those of an earlier run with that seed.
@@ -83,6 +84,10 @@ bench-quick: .venv/ready
 docs: .venv/ready
 	$(BIN)/python tools/generate_docs.py docs
 
+# The pages and the public names as a site that needs no server: build/site/index.html.
+site: .venv/ready .venv/site/ready
+	PYTHONPATH=$(SITE) $(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going docs $(or $(OUT),build/site)
+
 # All pictures of docs/ and README.md, or some: `make pictures PICTURES=interception.gif`.
 pictures: .venv/ready
 	$(BIN)/python tools/pictures.py $(PICTURES)
@@ -95,6 +100,7 @@ lock: .venv/tools/ready
 	$(LOCK) --constraint requirements-dev.txt --group build --output-file requirements.txt pyproject.toml
 	$(LOCK) $(UPGRADE) --group tools --output-file requirements-tools.txt
 	$(LOCK) $(UPGRADE) --group pyproject.toml:ros2 --output-file requirements-ros2.txt
+	$(LOCK) --constraint requirements-dev.txt --group site --output-file requirements-site.txt
 	$(LOCK) --constraint requirements-dev.txt --extra sumo --output-file requirements-sumo.txt pyproject.toml
 
 # Release files: source archives and wheels of the package and its plugins, and the bill of materials (CycloneDX) of the wheel with its dependencies.
@@ -138,10 +144,16 @@ INSTALL = $(BIN)/$(PIP) --no-deps --no-build-isolation --editable . --editable p
 	-.venv/ros2/bin/$(PIP) --require-hashes --requirement requirements-ros2.txt
 	touch $@
 
+# Sphinx and its theme, beside the packages whose docstrings it shows.
+.venv/site/ready: requirements-site.txt | .venv/ready
+	rm -rf .venv/site
+	$(BIN)/$(PIP) --require-hashes --target .venv/site --requirement requirements-site.txt
+	touch $@
+
 # SUMO, for the tests that simulate with it: they are skipped, with the reason, where there is no wheel of it.
 .venv/sumo: requirements-sumo.txt | .venv/ready
 	-$(BIN)/$(PIP) --require-hashes --requirement requirements-sumo.txt
 	touch $@
 
 clean:
-	rm -rf .venv runs .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv runs build docs/modules .pytest_cache .mypy_cache .ruff_cache .hypothesis

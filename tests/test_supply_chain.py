@@ -28,6 +28,7 @@ LOCKS = {
         *PROJECT["build-system"]["requires"],
     ],
     "requirements-tools.txt": PROJECT["dependency-groups"]["tools"],
+    "requirements-site.txt": PROJECT["dependency-groups"]["site"],
     "requirements-ros2.txt": PROJECT["dependency-groups"]["ros2"],
     "requirements-sumo.txt": [
         *PROJECT["project"]["dependencies"],
@@ -96,6 +97,8 @@ def test_running_and_development_use_the_same_versions_and_hashes() -> None:
         running, development = pins("requirements.txt", python), pins("requirements-dev.txt", python)
         assert running.items() <= development.items(), "run `make lock`"
         assert len(running) < len(development)
+        shown = pins("requirements-site.txt", python)  # it is imported together with those of development
+        assert {name: development.get(name, version) for name, version in shown.items()} == shown, "run `make lock`"
     hashes_of = {entry.partition(" ;")[0]: hashes for entry, hashes in hashes_by_entry("requirements-dev.txt").items()}
     for entry, hashes in hashes_by_entry("requirements.txt").items():
         assert hashes == hashes_of[entry.partition(" ;")[0]], entry

@@ -1,0 +1,67 @@
+"""The site of these pages and of the public names: `make site`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+import mast_zenoh
+
+DOCS = Path(__file__).parent
+sys.path.insert(0, str(DOCS.parent / "tools"))
+
+project, version = "mast-zenoh", mast_zenoh.__version__
+extensions = ["myst_parser", "sphinxcontrib.mermaid", "sphinx.ext.autodoc", "api_pages"]
+exclude_patterns = ["**.ipynb"]
+myst_heading_anchors = 6
+myst_fence_as_directive = ["mermaid"]
+mermaid_fullscreen = False
+autodoc_member_order = "bysource"
+autodoc_type_aliases = {name: name for name in ("Bools", "Floats", "Ints")}
+python_maximum_signature_line_length = 80
+html_theme = "furo"
+html_title = f"mast-zenoh {version}"
+html_copy_source = html_show_copyright = False
+html_static_path = ["site"]
+html_css_files = ["site.css"]
+
+# The kind of a page: how its name begins, or else the list that has it.
+KINDS = {
+    "Tutorials": ("tutorial", ""),
+    "How-to guides": (
+        "how-to",
+        "python reading_results viewer terminal troubleshooting studies searches replay exports animations extending "
+        "plugins own_detections sensors stone_soup interception network deploy deploy_ssh ros2 ros2_nodes "
+        "scenes scene_arrays scenes_commonroad scenes_dair scenes_kitti scenes_opv2v scenes_rosbag scenes_sumo "
+        "scenes_tumtraf scenes_urbaning",
+    ),
+    "Explanation": (
+        "explanation",
+        "architecture protocol determinism simulation tracking fusion attacks defences defence_studies scoreboard "
+        "security driving v2x performance known_limits roadmap",
+    ),
+    "Reference": (
+        "ref",
+        "glossary scenarios messages links faults metrics effects report recording endings exit_codes api stability "
+        "test_map",
+    ),
+}
+
+
+def add_navigation(_: Sphinx, page: str, source: list[str]) -> None:
+    """Append the tables of contents to the start page: they are not for its readers elsewhere."""
+    if page != "index":
+        return
+    pages = {path.stem for path in DOCS.glob("*.md")} - {"index"}
+    for kind, (beginning, listed) in KINDS.items():
+        named = sorted(name for name in pages if name.startswith(beginning) and name not in listed.split())
+        entries = [*named, *(name for name in listed.split() if name in pages)]
+        if kind == "Reference":
+            entries.append("modules/index")
+        source[0] += "\n".join(["", "```{toctree}", ":hidden:", f":caption: {kind}", "", *entries, "```", ""])
+
+
+def setup(app: Sphinx) -> None:
+    app.connect("source-read", add_navigation)
