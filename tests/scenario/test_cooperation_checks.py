@@ -75,9 +75,9 @@ def test_a_gap_between_regions_is_named_and_a_border_is_none() -> None:
         content["centers"]["west"]["region"]["x_max_m"] = -40.0
 
     assert not resolved(lambda _: None, "two_centres").idle
-    (sentence,) = resolved(move_border, "two_centres").idle
-    assert sentence.startswith("centers: ")
-    assert "x -" in sentence
+    (gap,) = resolved(move_border, "two_centres").idle
+    assert (gap.who, gap.what, gap.unit) == (("centers",), "uncovered", "%")
+    assert gap.where.startswith("x -")
 
 
 @pytest.mark.parametrize(

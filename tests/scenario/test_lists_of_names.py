@@ -10,10 +10,16 @@ from equal_runs import assert_equal, run_alone
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.study import definition
 
 EVERY = ["ego", "infra_1", "infra_2", "infra_3", "infra_4"]
 LISTS = pytest.mark.parametrize("names", [[], ["infra_3"], ["infra_4", "infra_1"], EVERY], ids=len)
+
+
+def idle(part: str, named: str) -> tuple[Finding, ...]:
+    """What is said of a part that names no agent, node or host."""
+    return (Finding("idle", (part,), "names nothing", unit=named),)
 
 
 def resolved(name: str, *settings: str, **options: Any) -> Resolved:
@@ -35,7 +41,7 @@ def test_an_adversary_is_on_the_wires_of_exactly_the_agents_of_its_list(name: st
     assert wires_of(run, first) == {f"agent/{agent}/{port}" for agent in names}
     for other in others:
         assert wires_of(run, other) == {f"agent/{content['adversaries'][other]['agent']}/{port}"}
-    assert run.idle == ((f"{first} names no agent",) if not names else ())
+    assert run.idle == idle(first, "agent") * (not names)
 
 
 def test_an_adversary_of_a_list_of_one_sends_what_that_of_its_name_sends(tmp_path: Path) -> None:
@@ -109,7 +115,7 @@ def test_a_fault_strikes_exactly_the_nodes_of_its_list(fault: str, names: list[s
     }
     assert struck == set(names)
     assert [set(band["nodes"]) for band in run.timeline] == [set(names)] * bool(names)
-    assert run.idle == ((f"faults[0] ({fault}) names no node",) if not names else ())
+    assert run.idle == idle(f"faults[0] ({fault})", "node") * (not names)
 
 
 @pytest.mark.parametrize("names", [[], ["a"], ["a", "b"]], ids=len)
@@ -119,7 +125,7 @@ def test_a_fault_of_hosts_strikes_exactly_those_of_its_list(names: list[str]) ->
     content |= dict(hosts=hosts, faults=[dict(type="HostPartition", at=0.1, hosts=names)])
     run = scenario.resolve(path, content, frames=3, mode="realtime")
     assert [fault["hosts"] for fault in run.network["faults"]] == [names]
-    assert run.idle == (("faults[0] (HostPartition) names no host",) if not names else ())
+    assert run.idle == idle("faults[0] (HostPartition)", "host") * (not names)
 
 
 @LISTS
