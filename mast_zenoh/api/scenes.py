@@ -94,7 +94,7 @@ class PreparedScene:
     def save_detections(self, folder: str | Path) -> list[Path]:
         """Write the detections as KITTI text, a file for each agent in a new or empty folder, and return the files.
 
-        `scene.detections=FOLDER` replays them (docs/own_detections.md). Raises SceneError if they cannot be written.
+        `scene.detections=FOLDER` replays them (docs/tutorial-own-data.md). Raises SceneError if they cannot be written.
         """
         target = Path(folder)
         try:

@@ -104,7 +104,9 @@ def check(
 @app.command()
 def convert(
     scene: Place,
-    target: Annotated[Path, typer.Argument(metavar="FILE.npz", help="The file to write, see docs/scene_arrays.md.")],
+    target: Annotated[
+        Path, typer.Argument(metavar="FILE.npz", help="The file to write (docs/ref-detections-and-arrays.md).")
+    ],
     settings: Settings = None,
     frames: Frames = None,
     seed: Seed = None,

@@ -99,7 +99,7 @@ def _with_agents(recording: Recording, rows: Ints) -> Recording:
 class RecordingFile(Scene):
     """A recording in a file: of `mast scene convert`, of `PreparedScene.save`, or scene.npz of a run.
 
-    path:             the file, see docs/scene_arrays.md
+    path:             the file, see docs/ref-detections-and-arrays.md
     n_infrastructure: number of static agents to use, the first ones; None: all
     n_mobile:         number of mobile agents besides the ego to use, the first ones; None: all
 

@@ -302,8 +302,8 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "network.md": [whole_scenario],
     "python.md": [None] * 13,  # test_page_examples.py
     "recording.md": [messages_of_a_run],
+    "ref-detections-and-arrays.md": [None] * 2,  # test_page_examples.py
     "ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
-    "scene_arrays.md": [None] * 3,  # test_page_examples.py
     "scenarios.md": [whole_scenario, results_of_a_node],
     "searches.md": [study_with_a_search],
     "security.md": [attempts_of_ones_own, expired_credentials],
@@ -317,7 +317,8 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
 
 #: Pages whose files are run by tests of their own.
 _WALK_THROUGHS = """
-    animations extending interception replay plugins ros2_nodes stone_soup tutorial tutorial_defence tutorial_driving
+    animations extending interception replay plugins ros2_nodes stone_soup
+    tutorial-defence tutorial-driving tutorial-first-attack tutorial-own-data
 """
 WALK_THROUGHS = [f"{name}.md" for name in _WALK_THROUGHS.split()]
 

@@ -16,7 +16,7 @@ Once = Callable[..., Played]
 
 def test_the_tutorials_silent_attacker_is_measured_and_blamed(once: Once) -> None:
     """It moves every detection of infra_1 by 3 m from the first frame."""
-    files = {name: text for name, text in files_of("tutorial.md").items() if name in ("shover", "shoved")}
+    files = {name: text for name, text in files_of("tutorial-first-attack.md").items() if name in ("shover", "shoved")}
     attacked, baseline = once("shoved", **files), once("baseline")
     attacks = attacked.table("attacks")
     assert set(attacks["interposer"]) == {"mallory"}

@@ -22,7 +22,7 @@ from mast_zenoh.sensing import sensor_pose, to_world
 pytestmark = pytest.mark.heavy
 
 LOG = "3bffdcff-c3a7-38b6-a0f2-64196d130958"
-PAGE = Path(__file__).parents[2] / "docs" / "own_detections.md"
+PAGE = Path(__file__).parents[2] / "docs" / "ref-detections-and-arrays.md"
 #: Of the reference: how detections are matched with tracks, when two cars' detections are one, and the least score.
 MATCHINGS = Matching(overlap=0.01), Matching(distance_m=1.0), Matching(distance_m=2.0)
 SAME = Matching(overlap=0.1), Matching(distance_m=1.5)
