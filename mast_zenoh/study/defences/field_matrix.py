@@ -86,9 +86,6 @@ class FieldMatrix(matrix.DefenceMatrix):
             published=list(self._published()),
         )
 
-    def _of_defence(self, defence: str) -> list[Factors]:
-        return [factors for factors in self.trials if factors["defence"] == defence]
-
     # -- rows ----------------------------------------------------------------------------------------------------------
 
     def _in_scene(self, values: Floats, scene: str) -> Floats:

@@ -165,10 +165,11 @@ class DefenceMatrix(Kind):
 
     def suspends(self, defence: str) -> bool:
         """Whether a defence suspended an agent in any run."""
-        trials = (
-            each for factors, by_key in self.trials.items() if factors["defence"] == defence for each in by_key.values()
-        )
+        trials = (each for factors in self._of_defence(defence) for each in self.trials[factors].values())
         return any(states.get("suspended") for each in trials for states in each["seconds"].values())
+
+    def _of_defence(self, defence: str) -> list[Factors]:
+        return [factors for factors in self.trials if factors["defence"] == defence]
 
     def table(self) -> MatrixTable:
         """The rows of all cells, each with the budget that does the most damage."""
@@ -176,12 +177,11 @@ class DefenceMatrix(Kind):
         for factors in self.trials:
             groups.setdefault(factors.but(budget=None), []).append(factors)
         worst = {max(cells, key=self._mean_damage): len(cells) for cells in groups.values()}
-        every = list(dict.fromkeys(factors["defence"] for factors in worst))
+        every = self.several("defence")
         defences = [name for name in every if name != UNDEFENDED]
-        cells_of = {name: [factors for factors in self.trials if factors["defence"] == name] for name in every}
-        trials = {name: self._by_trial(cells) for name, cells in cells_of.items()}
+        trials = {name: self._by_trial(self._of_defence(name)) for name in every}
         delays = {name: delay_curve(trials[name]) for name in defences if self.suspends(name)}
-        curves = {name: characteristic(self._by_trial(cells_of[name], idle=False)) for name in defences}
+        curves = {name: characteristic(self._by_trial(self._of_defence(name), idle=False)) for name in defences}
         panels, unshown = self._panels([*worst])
         return MatrixTable(
             rows=[self._row(factors, budgets) for factors, budgets in worst.items()],
