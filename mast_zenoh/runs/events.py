@@ -10,12 +10,13 @@ import numpy as np
 from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
+from mast_zenoh.run_folder.finding import Finding, sentence
 from mast_zenoh.run_folder.recording.churn import LOST
 from mast_zenoh.runs.files import Table, boxes_of, column, rows
 from mast_zenoh.runs.run import Run, agent_in_key
 
-#: Manipulations that have a place, as verbs.
-VERBS = {"inserted": "inserts", "removed": "removes", "moved": "moves"}
+#: Manipulations that have a place.
+PLACED = ("inserted", "removed", "moved")
 #: Faults that separate agents from the command centre.
 PARTITIONS = ("Partition", "HostPartition")
 
@@ -43,10 +44,15 @@ def happenings(run: Run, periods: list[dict[str, Any]], times: Floats) -> list[H
             if words and frame < len(times):
                 result.append(Happening(frame, each["kind"], words))
     for node, start, end in node_absences(run):
-        result.append(Happening(int(start), "fault", f"{node} is down"))
+        result.append(Happening(int(start), "fault", event(node, "down")))
         if end < len(times):
-            result.append(Happening(int(end), "fault", f"{node} is back"))
+            result.append(Happening(int(end), "fault", event(node, "back")))
     return result
+
+
+def event(who: str, what: str, where: str = "", cause: str = "") -> str:
+    """Something that happened, in the words of its phrase."""
+    return sentence(Finding("event", (who,), what, where=where, cause=(cause,) if cause else ()))
 
 
 def first_changes(run: Run) -> list[Happening]:
@@ -60,15 +66,12 @@ def first_changes(run: Run) -> list[Happening]:
             first = int(np.argmin(own["frame"]))
             when = "before" if effect == "removed" else "after"
             x, y = (float(own[f"{when}_{axis}"][first]) for axis in "xy")
-            place = (round(x, 2), round(y, 2)) if effect in VERBS and np.isfinite([x, y]).all() else (None, None)
-            action = f"changes its first message ({effect})"
-            if effect in VERBS:
-                action = f"{VERBS[effect]} its first object"
-            elif effect == "reframed" and own["message"][first] == "view":
-                action = f"changes what {agent_in_key(str(own['wire'][first]))} says it sees"
-            elif effect == "reframed" and own["message"][first] == "command":
-                action = f"changes its first command to {agent_in_key(str(own['wire'][first]))}"
-            result.append(Happening(int(own["frame"][first]), "effect", f"{name} {action}", *place))
+            place = (round(x, 2), round(y, 2)) if effect in PLACED and np.isfinite([x, y]).all() else (None, None)
+            agent = agent_in_key(str(own["wire"][first])) or ""
+            kind = str(own["message"][first]) if effect == "reframed" else effect
+            what = kind if kind in (*PLACED, "view", "command") else "changed"
+            text = event(name, what, agent, effect)
+            result.append(Happening(int(own["frame"][first]), "effect", text, *place))
     return result
 
 
@@ -93,31 +96,30 @@ def spans(run: Run, times: Floats) -> list[dict[str, Any]]:
     for each in run.timeline:
         kind = "attack" if each["kind"] == "attack" else "fault"
         before, label = len(result), str(each["label"])
-        words = f"{label} begins", f"{label} {'ends' if kind == 'attack' else 'heals'}"
+        words = event(label, "begins"), event(label, "ends" if kind == "attack" else "heals")
         add(label, kind, float(each["at_s"]), each.get("until_s"), each.get("nodes") or (), *words)
         if result[before:] and kind == "fault":
             result[-1] |= _affected_links(run, each)
     for node, start, until in absences(run):
         add(f"{node} lost", "fault", start * run.period_s, until * run.period_s, [node])
     opened: dict[str, dict[str, Any]] = {}
-    for event in run.files.record.get("interceptions", ()):
-        at, node = second(times, int(event["frame"])), event["node"]
-        wires = ", ".join(event["wires"])
-        if event["action"] == "intercept":
-            words = f"{node} inserted on {wires}", f"{node} removed from {wires}"
+    for step in run.files.record.get("interceptions", ()):
+        at, node = second(times, int(step["frame"])), step["node"]
+        wires = ", ".join(step["wires"])
+        if step["action"] == "intercept":
+            words = event(node, "intercepts", wires), event(node, "left", wires, "removed")
             add(f"{node} inserted live", "interception", at, None, [node], *words)
             opened[node] = result[-1]
         elif node in opened:
-            verb = "released" if event["action"] == "release" else "cut off"
-            opened.pop(node).update(until_s=round(at, 3), ends=f"{node} {verb} from {wires}")
+            how = "released" if step["action"] == "release" else "cut off"
+            opened.pop(node).update(until_s=round(at, 3), ends=event(node, "left", wires, how))
     for each in suspensions(run):
         agent, period = each["agent"], (float(each["from_s"]), each["until_s"])
-        words = f"the command centre suspends {agent}", f"the suspension of {agent} is lifted"
+        words = event(agent, "suspended"), event(agent, "not suspended")
         add(f"{agent} suspended", "suspension", *period, [agent], *words)
     for each in doubts(run):
         agent, period = each["agent"], (float(each["from_s"]), each["until_s"])
-        why = f": {each['reason']}" if each["reason"] else ""
-        words = f"the command centre cannot decide whether {agent} lies{why}", f"{agent} is no longer undecided"
+        words = event(agent, "undecided", cause=each["reason"] or ""), event(agent, "decided")
         add(f"{agent} undecided", "undecided", *period, [agent], *words)
     for each in result:
         each |= {name: run.worded(each[name]) for name in ("begins", "ends")}

@@ -22,7 +22,7 @@ from mast_zenoh.launch.twin import NAME
 from mast_zenoh.metrics.estimates import ESTIMATES
 from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.runs.driven import braking_events, braking_of, cars_of, course_of, twin_course
-from mast_zenoh.runs.events import VERBS, Happening, first_changes, happenings, lie_frames, node_absences, spans
+from mast_zenoh.runs.events import PLACED, Happening, event, first_changes, happenings, lie_frames, node_absences, spans
 from mast_zenoh.runs.files import ALL, Table, are_in, column, rows
 from mast_zenoh.runs.interposers import adversaries_by_agent, interposers
 from mast_zenoh.runs.run import Run
@@ -337,7 +337,7 @@ def _add_agent_states(packer: Packer, run: Run, names: list[str], frames: range)
 
 def _add_manipulations(packer: Packer, run: Run, frames: range) -> dict[str, Any]:
     """Add the columns `effects.*`: a row per object that an adversary inserted, removed or moved in a message."""
-    effects = list(VERBS)
+    effects = list(PLACED)
     places = ("before_x", "before_y", "before_z", "after_x", "after_y", "after_z")
     table = _shown(frames, run.manipulations) if run.manipulations is not None else {}
     placed = rows(table, np.isin(table["effect"], effects)) if table else {}
@@ -476,8 +476,7 @@ def _first_successes(run: Run, judged: Judgements) -> list[Happening]:
             if not len(places):
                 continue
             first = places[np.argmin(judged.boxes.group[places])]
-            what = "shows a false object" if meaning.outcome == "false" else "misses an object"
-            text = f"{words} {what} because of {meaning.by} ({meaning.cause})"
+            text = event(words, meaning.outcome, str(meaning.by), str(meaning.cause))
             x, y = (round(float(value), 2) for value in judged.boxes.position[first, :2])
             result.append(Happening(int(judged.boxes.group[first]), "effect", text, x, y))
     return result
