@@ -136,10 +136,11 @@ class TextTable(NamedTuple):
 
     @property
     def _terminal_headings(self) -> list[str]:
-        """The headings, below the name of the group that begins with them."""
+        """The headings; where some are equal, below the name of the group that begins with them."""
+        if len({*self.headings}) == len(self.headings):
+            return list(self.headings)
         begins = [head.group if at == 0 else "" for _, heads in self.grouped for at, head in enumerate(heads)]
-        lines = [f"{group}\n{text}" for group, text in zip(begins, self.headings, strict=True)]
-        return lines if any(begins) else list(self.headings)
+        return [f"{group}\n{text}" for group, text in zip(begins, self.headings, strict=True)]
 
     def _on_terminal(self, widths: Sequence[int] | None) -> Table:
         """widths: of columns; None: wrapped between words, which are never cut"""
