@@ -54,9 +54,9 @@ def locked() -> dict[str, str]:
 def licence_of(distribution: Distribution) -> str:
     """The licence that a package states; "" if it states none."""
     metadata = distribution.metadata
-    if expression := metadata.get("License-Expression"):
-        return str(expression)
-    stated = (metadata.get("License") or "").strip()
+    if expressions := metadata.get_all("License-Expression"):
+        return str(expressions[0])
+    stated = str((metadata.get_all("License") or [""])[0]).strip()
     if re.fullmatch(r"[A-Za-z][\w.+-]*( (OR|AND|and|or) [\w.+-]+)*", stated) and stated != "UNKNOWN":
         return stated
     classifiers = [text.split(" :: ") for text in metadata.get_all("Classifier") or ()]
