@@ -11,7 +11,7 @@ from informed_liars import Balloon, BlindSwarm, Deadlock, Excuser, WallHugger, W
 from liar_runs import harm, played
 from turning_liars import Giant, Pulse, Tailgate
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.heavy, pytest.mark.long]
 
 #: Liar, its settings, number of liars, junction and seed of the run, and the harm that they may do, in objects a frame.
 #: That is half of what they do without a defence and an input limit, or 0.3, which is chance. Where two agree it is as

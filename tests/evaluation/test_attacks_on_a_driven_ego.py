@@ -10,7 +10,7 @@ from mast_zenoh import scenario
 from mast_zenoh.config import loading
 from mast_zenoh.mesh.inproc import InProcess
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.heavy, pytest.mark.long]
 
 #: The driver of the study, which keeps up with the traffic.
 DRIVER = loading.module(Path("studies/driving.py")).DRIVER

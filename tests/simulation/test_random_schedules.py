@@ -16,6 +16,8 @@ from mast_zenoh.testing.simulation import Disturbance, Schedule, SimulatedWorld,
 from mast_zenoh.testing.simulation.promises import undisturbed
 from mast_zenoh.testing.simulation.world import KINDS
 
+pytestmark = pytest.mark.long
+
 
 def test_runs_with_random_schedules_keep_every_promise(worlds: dict[str, SimulatedWorld]) -> None:
     explore(worlds["lockstep"], range(80))

@@ -26,6 +26,8 @@ from mast_zenoh.show.film.writing import schedule
 from mast_zenoh.show.html import write_report
 from mast_zenoh.show.page.block import run_block
 
+pytestmark = pytest.mark.long
+
 opening = loading.module(Path(__file__).parents[2] / "benchmarks" / "opening.py")
 EVERY = 4
 
