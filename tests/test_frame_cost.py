@@ -34,9 +34,9 @@ def test_calls_bytes_and_messages_of_a_frame_are_within_their_budgets() -> None:
 @pytest.mark.heavy
 @pytest.mark.timeout(1800)
 def test_instructions_of_a_frame_are_within_their_budgets() -> None:
-    """Of the plainest run and the richest: the budgets of calls and bytes are compared in all."""
+    """Of the richest run: other runs warm up its code too little. Budgets of calls and bytes are compared in all."""
     require_comparable(instructions=True)
-    assert_within_budgets(cost.measure(instructions=True, runs=["baseline", "defended"]))
+    assert_within_budgets(cost.measure(instructions=True, runs=["defended"]))
 
 
 def test_an_excess_names_the_functions_that_grew() -> None:
