@@ -156,7 +156,7 @@ def test_every_locked_package_has_a_licence_on_the_page_and_installed_ones_the_l
     assert set(licences.LOCKS) == set(LOCKS)
     assert licences_on_page.keys() == licences.locked().keys(), "run `python tools/licences.py`"
     assert licences.PAGE.read_text(encoding="utf-8") == licences.page(licences_on_page)
-    stated = {name: licence for name, licence in licences.installed() if name in licences_on_page and licence}
+    stated = {name: licence for name, licence in licences.installed().items() if name in licences_on_page and licence}
     assert {"numpy", "pytest"} <= stated.keys()
     assert stated.items() <= licences_on_page.items(), "run `python tools/licences.py`"
 

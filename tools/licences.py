@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
 from importlib.metadata import Distribution, distributions
 from pathlib import Path
 
@@ -69,12 +68,17 @@ def licence_of(distribution: Distribution) -> str:
     return stated if stated and re.fullmatch(r"\w[\w .,-]{1,60}", stated) else ""
 
 
-def installed() -> Iterator[tuple[str, str]]:
-    """Packages of this environment and those within it (tools, ROS 2), each with its licence."""
-    within = [str(path) for path in Path(sys.prefix).glob("*/lib/python3*/site-packages")]
+def installed() -> dict[str, str]:
+    """Licences by package of this environment and those within it (tools, ROS 2).
+
+    Of a package with two versions, the one of this environment counts.
+    """
+    within = [str(path) for path in sorted(Path(sys.prefix).glob("*/lib/python3*/site-packages"))]
+    licences: dict[str, str] = {}
     for distribution in distributions(path=[*sys.path, *within]):
         name = canonical(distribution.name)
-        yield name, FROM_FILES.get(name) or licence_of(distribution)
+        licences.setdefault(name, FROM_FILES.get(name) or licence_of(distribution))
+    return licences
 
 
 def written() -> dict[str, str]:
@@ -92,7 +96,7 @@ def page(licences: dict[str, str]) -> str:
 
 def main() -> int:
     """Write the page; 1 if a locked package has no known licence."""
-    licences = written() | {name: licence for name, licence in installed() if licence}
+    licences = written() | {name: licence for name, licence in installed().items() if licence}
     if unknown := locked().keys() - licences.keys():
         print(f"no licence known of: {', '.join(sorted(unknown))}; install them, or add them to FROM_FILES")
         return 1
