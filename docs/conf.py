@@ -17,7 +17,7 @@ extensions = ["myst_parser", "sphinxcontrib.mermaid", "sphinx.ext.autodoc", "api
 exclude_patterns = ["**.ipynb"]
 myst_heading_anchors = 6
 myst_fence_as_directive = ["mermaid"]
-mermaid_fullscreen = False
+mermaid_fullscreen, mermaid_height = False, "auto"
 autodoc_member_order = "bysource"
 autodoc_type_aliases = {name: name for name in ("Bools", "Floats", "Ints")}
 python_maximum_signature_line_length = 80
@@ -31,19 +31,19 @@ html_css_files = ["site.css"]
 KINDS = {
     "Tutorials": ("tutorial", ""),
     "How-to guides": (
-        "how-to",
+        "how-to-",
         "python reading_results viewer terminal troubleshooting studies searches replay exports animations extending "
         "plugins own_detections sensors stone_soup interception network deploy deploy_ssh ros2 ros2_nodes "
         "scenes scene_arrays scenes_commonroad scenes_dair scenes_kitti scenes_opv2v scenes_rosbag scenes_sumo "
         "scenes_tumtraf scenes_urbaning",
     ),
     "Explanation": (
-        "explanation",
+        "explanation-",
         "architecture protocol determinism simulation tracking fusion attacks defences defence_studies scoreboard "
         "security driving v2x performance known_limits roadmap",
     ),
     "Reference": (
-        "ref",
+        "ref-",
         "glossary scenarios messages links faults metrics effects report recording endings exit_codes api stability "
         "test_map",
     ),

@@ -7,6 +7,7 @@ import shutil
 import textwrap
 from importlib import import_module
 from inspect import getdoc, isroutine
+from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -29,12 +30,22 @@ def public_names() -> dict[str, list[str]]:
     for places in BASE_CLASSES.values():
         for module, _, name in (place.rpartition(".") for place in places):
             names.setdefault(module, set()).add(name)
+    names["mast_zenoh"].add("study.interface.carry_out")  # what a call of `mast_zenoh.study`, a package, calls
     modules = sorted(names, key=lambda module: (not module.startswith("mast_zenoh"), module))
     return {module: sorted(names[module]) for module in modules}
 
 
+def public_thing(module: str, name: str) -> object:
+    """What a public name stands for: a module need not be imported yet."""
+    try:
+        return attrgetter(name)(import_module(module))
+    except AttributeError:
+        return import_module(f"{module}.{name}")
+
+
 def write_pages(_: Sphinx) -> None:
     """Write docs/modules/*.rst, which Sphinx fills with the docstrings."""
+    mast_zenoh.Run.__name__ = "Run"  # Sphinx shows the members of a class only under its own name
     public = public_names()
     first: dict[int, str] = {}
     contents = "\n   ".join(["Public names\n============\n\n.. toctree::", ":maxdepth: 1\n", *public])
@@ -44,7 +55,7 @@ def write_pages(_: Sphinx) -> None:
         for name in names:
             place = f"{module}.{name}"
             elsewhere = f":py:mod:`{place}`" if place in public else None
-            directives.append(elsewhere or _directive(place, getattr(import_module(module), name), first))
+            directives.append(elsewhere or _directive(place, public_thing(module, name), first))
         pages[module] = "\n\n".join([f"{module}\n{'=' * len(module)}", f".. automodule:: {module}", *directives, ""])
     shutil.rmtree(DOCS / "modules", ignore_errors=True)
     (DOCS / "modules").mkdir()
