@@ -65,3 +65,4 @@ def add_navigation(_: Sphinx, page: str, source: list[str]) -> None:
 
 def setup(app: Sphinx) -> None:
     app.connect("source-read", add_navigation)
+    app.connect("env-get-outdated", lambda *_: ["index"])  # there may be a new page
