@@ -38,7 +38,7 @@ from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.links import Chain, Passage, Rule
 from mast_zenoh.mesh.control import flow, prefix
-from mast_zenoh.mesh.control.signatures import Signatures
+from mast_zenoh.mesh.control.codec import Signatures
 from mast_zenoh.mesh.protocol.traffic import stamp
 from mast_zenoh.mesh.session import open_client, open_router
 from mast_zenoh.mesh.zenoh_process import ZenohProcess

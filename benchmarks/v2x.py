@@ -26,8 +26,7 @@ import numpy as np
 from mast_zenoh import kernels
 from mast_zenoh.arrays.states import CLASSES, ObjectStates
 from mast_zenoh.v2x import cpm
-from mast_zenoh.v2x.asn1 import cpm_fields
-from mast_zenoh.v2x.asn1.plain import to_plain
+from mast_zenoh.v2x.asn1.uper import to_plain
 from mast_zenoh.v2x.reference_position import LocalPlane
 from mast_zenoh.v2x.tracks import from_cpm, to_cpm, to_objects
 
@@ -67,12 +66,12 @@ def peers(data: bytes) -> dict[str, Callable[[], object]]:
         return {}
     if not asn1_oracle.FOLDER.is_dir():
         return {}
-    layout = cpm_fields.LAYOUT
+    layout = cpm.LAYOUT
     plain = to_plain(layout, cpm.to_values(cpm.decode(data)))
     assert asn1_oracle.encode("CPM", layout.type, plain) == data
     codec = asn1_oracle.specification("CPM")
     name, container = "PerceivedObjectContainer", plain["payload"]["cpmContainers"][-1]["containerData"]
-    values = asn1_oracle.to_asn1tools("CPM", cpm_fields.PerceivedObjectContainer, container)
+    values = asn1_oracle.to_asn1tools("CPM", cpm.PerceivedObjectContainer, container)
     encoded = codec.encode(name, values)
     return {
         "asn1tools: encode": lambda: codec.encode(name, values),

@@ -33,8 +33,8 @@ KINDS = {
     "How-to guides": (
         "how-to-",
         "python reading_results viewer terminal troubleshooting studies searches replay exports animations extending "
-        "plugins own_detections sensors stone_soup interception network deploy deploy_ssh ros2 ros2_nodes "
-        "scenes scene_arrays scenes_commonroad scenes_dair scenes_kitti scenes_opv2v scenes_rosbag scenes_sumo "
+        "plugins sensors stone_soup interception network deploy deploy_ssh ros2 ros2_nodes "
+        "scenes scenes_commonroad scenes_dair scenes_kitti scenes_opv2v scenes_rosbag scenes_sumo "
         "scenes_tumtraf scenes_urbaning",
     ),
     "Explanation": (
@@ -45,7 +45,7 @@ KINDS = {
     "Reference": (
         "ref-",
         "glossary scenarios messages links faults metrics effects report recording endings exit_codes api stability "
-        "test_map",
+        "test_map licences",
     ),
 }
 

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from mast_zenoh.api.catalogue import Listing as Listing
     from mast_zenoh.api.catalogue import list_kind as list
-    from mast_zenoh.api.execution import run as run
     from mast_zenoh.api.runs import OpenedRun as Run
+    from mast_zenoh.api.runs import run as run
     from mast_zenoh.api.scenes import PreparedScene as PreparedScene
     from mast_zenoh.api.scenes import prepare as scene
     from mast_zenoh.errors import MastError as MastError
@@ -45,7 +45,7 @@ _PLACES = {
     "compare": ("mast_zenoh.show.compare", "compare"),
     "list": ("mast_zenoh.api.catalogue", "list_kind"),
     "open": ("mast_zenoh.study.finished", "open_folder"),
-    "run": ("mast_zenoh.api.execution", "run"),
+    "run": ("mast_zenoh.api.runs", "run"),
     "scene": ("mast_zenoh.api.scenes", "prepare"),
 }
 

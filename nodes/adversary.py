@@ -16,11 +16,7 @@ import numpy as np
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.attacks import Attack, PassThrough, Surroundings, Tampering, Targets
-from mast_zenoh.attacks.campaign import COUNTS, shortfall
-from mast_zenoh.attacks.knowledge import CentreMessages
-from mast_zenoh.attacks.surroundings import UNKNOWN
-from mast_zenoh.attacks.targets import Changes
-from mast_zenoh.attacks.victim import (
+from mast_zenoh.attacks.attack import (
     Victim,
     claimed_view,
     directed_targets,
@@ -31,6 +27,10 @@ from mast_zenoh.attacks.victim import (
     seen_detections,
     sensor_of,
 )
+from mast_zenoh.attacks.campaign import COUNTS, shortfall
+from mast_zenoh.attacks.knowledge import CentreMessages
+from mast_zenoh.attacks.surroundings import UNKNOWN
+from mast_zenoh.attacks.targets import Changes
 from mast_zenoh.gather import LatestBefore
 from mast_zenoh.integrity.views import view_columns
 from mast_zenoh.mesh.hosting import main

@@ -14,7 +14,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.fusion.input_limit import InputLimit
 from mast_zenoh.fusion.pipelines import Pipeline
 from mast_zenoh.fusion.pipelines.collation import Collated, CollatingNode
-from mast_zenoh.fusion.pipelines.fusing import FusingNode
+from mast_zenoh.fusion.pipelines.command_center import FusingNode
 from mast_zenoh.fusion.regions import ServedArea
 from mast_zenoh.gather import MAX_AGE_S, LatestBefore
 from mast_zenoh.integrity.views import view_of

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion.pipelines import Pipeline
-from mast_zenoh.fusion.pipelines.fusing import FusingNode
+from mast_zenoh.fusion.pipelines.command_center import FusingNode
 from mast_zenoh.integrity.views import SweptView, views_of
 from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Received

@@ -4,7 +4,7 @@ It publishes one command in every frame, from the pose and the route of that fra
 earlier one, as an agent uses the picture: the result does not depend on the order of arrival.
 
 With a veto, the agent's own sensors overrule the mission estimate, which others contribute to: see
-mast_zenoh/driving/veto.py.
+mast_zenoh/driving/driver.py.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion, tracks_in_world
 from mast_zenoh.arrays.states import Bools, ObjectStates, canonical_order
 from mast_zenoh.driving import CarLimits, Command, Driver, RouteAhead, Situation
-from mast_zenoh.driving.driver import ESTIMATE_AGE_S
-from mast_zenoh.driving.veto import Refutations, overruled
+from mast_zenoh.driving.driver import ESTIMATE_AGE_S, Refutations, overruled
 from mast_zenoh.gather import Gather, LatestBefore, plausible
 from mast_zenoh.integrity.base import ClusterBoxes
 from mast_zenoh.integrity.views import SweptView, check_view, view_of

@@ -18,11 +18,11 @@ import numpy as np
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.driving import CarLimits, Command, RouteAhead
-from mast_zenoh.driving.actuation import HOLD_S, TAKE_OVER_S
+from mast_zenoh.driving.motion import HOLD_S, TAKE_OVER_S
 from mast_zenoh.errors import MessageError
 from mast_zenoh.evaluation import Evaluation, RunData, RunScoring, ego_of
+from mast_zenoh.evaluation.driven import PlayedDrivers, check_played, driver_ports, drivers_of
 from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth, TrueFrame
-from mast_zenoh.evaluation.driver_wires import PlayedDrivers, check_played, driver_ports, drivers_of
 from mast_zenoh.evaluation.effects import ReportedPose
 from mast_zenoh.evaluation.estimate_wires import estimates_on
 from mast_zenoh.evaluation.run_data import ArrivedEstimate, Heard, OwnView
@@ -84,7 +84,7 @@ class Evaluator(Node):
     attribution, cut_off: rules for the causes of errors, None: AttributionLimits(), CutOff()
     consistency: how errors are compared with covariances, None: Consistency()
     faults:  of the timeline by agent: type, beginning and end in s; None: none
-    played_drivers: of a replay, see `driver_wires.driver_ports`; None: none is played
+    played_drivers: of a replay, see `driven.driver_ports`; None: none is played
     drivers: by agent, the `driver` and the `limits` of the node that drives its car, where they are known
     The other parameters are described in `evaluation.Evaluation`.
     """
@@ -370,7 +370,7 @@ def routes(
 
     Keys that the evaluator does not need are left out.
 
-    played: the drivers that are played, see `driver_wires.driver_ports`; metrics: of messages
+    played: the drivers that are played, see `driven.driver_ports`; metrics: of messages
     """
     series: dict[str, list[Series]] = defaultdict(list)
     takes: dict[str, str] = {}

@@ -29,11 +29,9 @@ from mast_zenoh.arrays.geometry import NO_OFFSET, NO_TURN, heading, rotation_fro
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion.input_limit import InputLimit
 from mast_zenoh.fusion.pipelines import Pipeline
-from mast_zenoh.fusion.pipelines.admission import Admission
-from mast_zenoh.fusion.pipelines.fusing import FusingNode, is_view
-from mast_zenoh.fusion.pipelines.heard import AgentTracks, HeardTracks
-from mast_zenoh.fusion.pipelines.inbox import MAX_WAITING, Inbox
-from mast_zenoh.fusion.pipelines.relays import Relay, Relays
+from mast_zenoh.fusion.pipelines.collation import MAX_WAITING, Admission, Inbox
+from mast_zenoh.fusion.pipelines.command_center import FusingNode, is_view
+from mast_zenoh.fusion.pipelines.heard import AgentTracks, HeardTracks, Relay, Relays
 from mast_zenoh.gather import MAX_AGE_S, Gather, Newest, plausible, plausible_rows
 from mast_zenoh.integrity.views import view_of
 from mast_zenoh.mesh.hosting import main

@@ -14,13 +14,13 @@ import numpy as np
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.driving import Actuation, CarLimits, Command
-from mast_zenoh.driving.actuation import HOLD_S, TAKE_OVER_S
+from mast_zenoh.driving.motion import HOLD_S, TAKE_OVER_S
 from mast_zenoh.mesh.hosting import main
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Received, Source
 from mast_zenoh.scenes import Recording, Scene
+from mast_zenoh.scenes.base import SteppedWorld, check_cars
 from mast_zenoh.scenes.making.observe import FrameDetection, SweepCaster, World, lidar_visibility, most_seen
-from mast_zenoh.scenes.stepped import SteppedWorld, check_cars
 from mast_zenoh.wiring.model import subject_of
 
 

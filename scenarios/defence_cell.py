@@ -5,8 +5,16 @@ from uncoordinated import scenario as uncoordinated
 
 from mast_zenoh.attacks import Coordination
 from mast_zenoh.scenario import agents_of
-from mast_zenoh.study.choices import COORDINATED, UNCOORDINATED, adversary_base, has_budget, measured_by, resolve_choice
-from mast_zenoh.study.defences.placements import faults_of, place
+from mast_zenoh.study.choices import (
+    COORDINATED,
+    UNCOORDINATED,
+    adversary_base,
+    faults_of,
+    has_budget,
+    measured_by,
+    place,
+    resolve_choice,
+)
 
 
 def scenario(

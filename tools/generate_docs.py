@@ -21,8 +21,8 @@ from mast_zenoh.api.scenes import PreparedAgent
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.layers import LAYERS
 from mast_zenoh.messages.schemas import SCHEMAS
-from mast_zenoh.runs.agent import AgentMessages
 from mast_zenoh.runs.messages import WireMessage
+from mast_zenoh.runs.run import AgentMessages
 from mast_zenoh.show.figures.plots import Plots
 from mast_zenoh.study.interface import carry_out
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from mast_zenoh.launch import live_interception
 from mast_zenoh.mesh.session import open_client
-from mast_zenoh.show.film.look import Look
+from mast_zenoh.show.film.takes import Look
 from mast_zenoh.show.film.writing import animate
 
 WIRE, NAME = "agent/infra_2/tracks", "adversary"

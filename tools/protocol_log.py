@@ -17,7 +17,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from mast_zenoh.config.allowed_code import AllowedCode
+from mast_zenoh.config.loading import AllowedCode
 from mast_zenoh.config.resolved import RECORDING, Resolved, has_topics_outside
 from mast_zenoh.errors import ConfigurationError, MastError, RunFolderError
 from mast_zenoh.mesh.hosting import build

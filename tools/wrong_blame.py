@@ -32,7 +32,7 @@ from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.mesh.inproc import InProcess
-from mast_zenoh.metrics.boxes import Places, centre_distance, pairs_within
+from mast_zenoh.metrics.assignment import Places, centre_distance, pairs_within
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, FAULT_CAUSES
 from mast_zenoh.scenario import agents_of
 

@@ -2,8 +2,8 @@
 
 See docs/python.md.
 
-    execution    run: a scenario in, a run out; open: a run folder in, the same object out
-    runs         that object: the model of `runs`, with plots, report, exports and films
+    runs         that object: the model of `runs`, with plots, report, exports and films; run: a scenario in, a run
+                 out; open: a run folder in, the same object out
     scenes       scene: truth, poses and detections of a scene, without a run
     catalogue    list: what a scenario can name, with its parameters: defaults, units, meanings
 

@@ -17,7 +17,7 @@ from typing import Any, overload
 
 from mast_zenoh import attacks, driving, fusion, integrity, links, metrics, scenes, sensing, tracking, v2x
 from mast_zenoh.config import bundle, loading, plugins, registry
-from mast_zenoh.config.scene_names import short_form
+from mast_zenoh.config.registry import short_form
 from mast_zenoh.driving.following import IntelligentDriverModel
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault

@@ -15,15 +15,15 @@ from mast_zenoh import scenario as scenarios
 from mast_zenoh import scenes
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.config import registry
-from mast_zenoh.config.scene_names import has_short_name, recognised
+from mast_zenoh.config.registry import has_short_name, recognised
 from mast_zenoh.config.settings import nested
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
 from mast_zenoh.runs import messages as recorded
 from mast_zenoh.runs.messages import Columns
 from mast_zenoh.scenario.reading import RUN_DEFAULTS
 from mast_zenoh.scenes import Recording, inspection
-from mast_zenoh.scenes.detection_tables import write_detections
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent
+from mast_zenoh.scenes.own_detections import write_detections
 from mast_zenoh.sensing import Detector
 
 if TYPE_CHECKING:

@@ -8,32 +8,22 @@
     campaign      selection and motion of targets over time
     following     tracking of targets
     imitation     false objects that resemble the victim's own
-    attack        base class of attacks: one step per intercepted message; attacks that follow targets
+    attack        base class of attacks: one step per intercepted message; attacks that follow targets; what an
+                  adversary keeps of a compromised agent; an attack on what drivers tell their cars
     coordination  coordinators of several adversaries
     adaptive      base class of attacks that know how they are judged
     phantoms      adaptive attacks that invent vehicles
     real_objects  adaptive attacks about real objects
-    disputes     attacks about which one agent's word stands against another's
+    disputes     attacks about which one agent's word stands against another's; an attack on what agents say about
+                 whom they trust
     evasion      attacks that stay below what a defence looks for
     flood        an attack on the time of the command centre
-    slander      an attack on what agents say about whom they trust
     road_ahead    attacks on the road ahead of a car that is driven
-    seizure       an attack on what drivers tell their cars
-    victim        what an adversary keeps of a compromised agent
 
 Everything is in the world frame; the nodes convert. See docs/attacks.md.
 """
 
-from mast_zenoh.attacks import (  # noqa: F401 (found by name)
-    disputes,
-    evasion,
-    flood,
-    phantoms,
-    real_objects,
-    road_ahead,
-    seizure,
-    slander,
-)
+from mast_zenoh.attacks import attack, disputes, evasion, flood, phantoms, real_objects, road_ahead  # noqa: F401 (found by name)
 from mast_zenoh.attacks.adaptive import AdaptiveAttack, Lies, Moment
 from mast_zenoh.attacks.attack import Attack, PassThrough, UncoordinatedAttack, alter
 from mast_zenoh.attacks.campaign import Propagation

@@ -1,27 +1,37 @@
-"""Attacks: the base class, tampering with one message, and attacks that follow targets."""
+"""Attacks: the base class, tampering with one message, and attacks that follow targets.
+
+One compromised agent: its poses and messages, and the columns that are forwarded instead of the original.
+
+An attack on the commands that drivers give their cars.
+"""
 
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mast_zenoh.arrays.checks import check
-from mast_zenoh.arrays.geometry import within_range
-from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, canonical_order, concatenate
+from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_local, within_range
+from mast_zenoh.arrays.states import Detections, Floats, Ints, ObjectStates, canonical_order, concatenate
 from mast_zenoh.attacks.campaign import NANOSECONDS, Campaign, Propagation, TrajectoryPropagation
 from mast_zenoh.attacks.following import Follower
 from mast_zenoh.attacks.imitation import ForgedIds, Imitation, VictimLike
 from mast_zenoh.attacks.knowledge import Attacker
 from mast_zenoh.attacks.selection import Selection, UncoordinatedSelection
 from mast_zenoh.attacks.surroundings import UNKNOWN, Coverage, Surroundings, unlimited
-from mast_zenoh.attacks.targets import Tampering, Targets, ViewForger
-from mast_zenoh.integrity.views import SweptView
+from mast_zenoh.attacks.targets import Changes, Tampering, Targets, ViewForger
+from mast_zenoh.integrity.views import SweptView, check_view
 from mast_zenoh.messages.schemas import Body
+from mast_zenoh.sensing import sensor_pose, to_sensor, to_world
 from mast_zenoh.tracking.view import SensorView
+from mast_zenoh.wiring.model import agent_of
+from mast_zenoh.wiring.received import Received
 
 
 class Attack(Attacker):
@@ -357,3 +367,172 @@ class CoordinatedAttack(TargetedAttack):
         if self._directive is None or directive_ns > self._directive_ns:
             self._directive, self._directive_ns = directive, directive_ns
             self._targets, self._targets_ns = directive, directive_ns
+
+
+POSES_KEPT = 16  #: frames by which a message may be late and still be attacked
+
+
+class Victim:
+    """One compromised agent, or one of its sensors: its poses, and the messages that wait for them.
+
+    name: of the agent, or agent/sensor; attack: on its messages; sensor: whose view it has; empty: `name`
+    """
+
+    def __init__(self, name: str, attack: Attack, sensor: str = "") -> None:
+        self.sensor = sensor or name
+        self.agent = agent_of(name)
+        self.attack = attack
+        self.poses: dict[int, Body] = {}
+        self.last_view: tuple[bytes, SensorView] | None = None  # latest pose, and the view from it
+        self.waiting: dict[str, deque[Received]] = {"detections": deque(), "tracks": deque(), "picture": deque()}
+        self.views: deque[Received] = deque()  # claimed views that wait for the lies of their frame
+        self.attacked: deque[int] = deque(maxlen=POSES_KEPT)  # frames whose lies are known
+        self.heard: dict[str, int] = {}  # frames of arrival of what its attack has heard, by type
+        self.reports: list[tuple[Received, Changes]] = []  # that have not been published
+
+    def store_pose(self, frame: int, pose: Body) -> None:
+        """Store the true pose of a frame; the first one counts."""
+        self.poses.setdefault(frame, pose)
+        if len(self.poses) > POSES_KEPT:
+            del self.poses[min(self.poses)]
+
+    def view(self, surroundings: Surroundings, pose: Body) -> SensorView:
+        """The view of its sensor; cached, because most agents are static."""
+        key = pose["position"].tobytes() + pose["rotation"].tobytes()
+        if self.last_view is None or self.last_view[0] != key:
+            rotation = rotation_from_quaternion(pose["rotation"])
+            self.last_view = (key, surroundings.view(self.sensor, pose["position"], rotation))
+        return self.last_view[1]
+
+
+Columns = dict[str, NDArray[Any]]
+#: Position (3,) m and rotation (3, 3) of a sensor in the world.
+SensorPose = tuple[Floats, Floats]
+
+
+def sensor_of(detections: Body, pose: Body) -> SensorPose:
+    """The pose of the sensor of a `detections` message; pose: of its agent."""
+    return sensor_pose(
+        pose["position"],
+        rotation_from_quaternion(pose["rotation"]),
+        detections["mount_position"],
+        rotation_from_quaternion(detections["mount_rotation"]),
+    )
+
+
+def seen_detections(body: Body, sensor: SensorPose) -> ObjectStates:
+    """The objects of a `detections` message, world frame; ids are -1, as detections have no identity."""
+    seen = to_world(Detections.from_columns(body), *sensor)
+    covariance = np.zeros((len(seen), 9, 9))
+    covariance[:, :3, :3] = seen.covariance
+    return ObjectStates.of(
+        seen.position,
+        id=np.full(len(seen), -1),
+        size=seen.size,
+        yaw=seen.yaw,
+        score=seen.score,
+        class_id=seen.class_id,
+        covariance=covariance,
+    )
+
+
+def forged_detections(body: Body, sensor: SensorPose, tampering: Tampering) -> Columns:
+    """The columns of a tampered `detections` message; untouched rows keep their bytes."""
+
+    def local(states: ObjectStates) -> Detections:
+        covariance = states.covariance[:, :3, :3]
+        world = Detections(states.position, states.size, states.yaw, states.score, states.class_id, covariance)
+        return to_sensor(world, *sensor)
+
+    columns = Detections.from_columns(body).columns()
+    if len(tampering.moved):
+        for name, moved in local(tampering.moved).columns().items():
+            columns[name] = columns[name].copy()
+            columns[name][tampering.moved_index] = moved
+    kept = tampering.keep.nonzero()[0]
+    for name, added in local(tampering.added).columns().items():
+        columns[name] = np.concatenate([columns[name].take(kept, 0), added])
+    return columns | {name: body[name] for name in ("mount_position", "mount_rotation")}
+
+
+def forged_states(body: Body, states: ObjectStates, tampering: Tampering) -> Columns:
+    """The columns of a tampered `tracks` or `picture` message; untouched rows keep their bytes.
+
+    states: those of the message, in its frame of reference
+    """
+    if "origin" not in body:
+        return tampering.applied_to(states).columns() | {"support": forged_support(body["support"], tampering)}
+    reference = {name: body[name] for name in ("origin", "rotation")}
+    forged = replace(
+        tampering,
+        moved=states_to_local(tampering.moved, **reference),
+        added=states_to_local(tampering.added, **reference),
+    )
+    return forged.applied_to(states).columns() | reference
+
+
+def forged_support(support: Ints, tampering: Tampering) -> Ints:
+    """The support of each object in a forged picture: false objects get the median."""
+    usual = int(np.median(support)) if len(support) else 1
+    return np.concatenate([support[tampering.keep], np.full(len(tampering.added), usual, np.int64)])
+
+
+def observed_pose(pose: Body) -> Columns:
+    """The pose of an agent as columns of an observation."""
+    return {f"agent_{name}": pose[name] for name in ("position", "rotation", "velocity")}
+
+
+def observed_view(view: SensorView) -> Columns:
+    """A view as columns of an observation."""
+    return {
+        "sensor_position": view.position,
+        "sensor_rotation": view.rotation,
+        "azimuth": np.array([view.azimuth_min, view.azimuth_max]),
+        "elevation": np.array([view.elevation_min, view.elevation_max]),
+        "max_range": np.array([view.max_range]),
+    }
+
+
+def claimed_view(body: Body) -> SweptView | None:
+    """The view in a `view` message; None if it describes no field of view."""
+    try:
+        check_view(body)
+    except ValueError:
+        return None
+    limits = *body["azimuth"].tolist(), *body["elevation"].tolist(), float(body["max_range"][0])
+    return SweptView(SensorView(body["position"], rotation_from_quaternion(body["rotation"]), *limits), body["free"])
+
+
+def directed_targets(body: Body, time_ns: int) -> Targets:
+    """The targets in a `directive` message of a time, ns."""
+
+    def states(prefix: str) -> ObjectStates:
+        if len(body[f"{prefix}_id"]) == 0:
+            return ObjectStates.empty()
+        names = ("id", "velocity", "size", "yaw", "class_id")
+        return ObjectStates.of(body[f"{prefix}_position"], **{name: body[f"{prefix}_{name}"] for name in names})
+
+    return Targets(states("add"), states("remove"), states("move"), body["move_offset"], time_ns)
+
+
+class SeizedCommands(ObjectsUnchanged, Attack):
+    """Puts an acceleration of its own in place of the driver's; the car steers as its driver wants.
+
+    A car carries out only what it can do: a command beyond that is refused (`driving.Actuation`).
+
+    acceleration: m/s^2, negative: it brakes
+    start_s, end_s: s of scene time; end_s None: 2 s after the start
+    """
+
+    def __init__(self, *, acceleration: float = -6.0, start_s: float = 4.0, end_s: float | None = None) -> None:
+        check("-1000 to 1000", acceleration=acceleration)
+        check("0 or more, finite", start_s=start_s)
+        end_s = start_s + 2.0 if end_s is None else end_s
+        if not end_s > start_s:
+            raise ValueError(f"end_s: found {end_s}, expected more than start_s, {start_s}")
+        self._acceleration = acceleration
+        self._span_ns = start_s * NANOSECONDS, end_s * NANOSECONDS
+
+    def forge_command(self, time_ns: int, acceleration: float, curvature: float) -> tuple[float, float]:
+        begin, end = self._span_ns
+        return (self._acceleration if begin <= time_ns < end else acceleration), curvature

@@ -21,7 +21,7 @@ from mast_zenoh.errors import RunFolderError, UntrustedCode
 if TYPE_CHECKING:
     import zenoh
 
-    from mast_zenoh.config.allowed_code import AllowedCode
+    from mast_zenoh.config.loading import AllowedCode
     from mast_zenoh.runs.live.address import LiveAddress
 
 _START_S = 60.0  # for a run to start its nodes
@@ -171,7 +171,7 @@ def join(
 
 def _delete_keys_of_the_dead(folder: Path) -> None:
     """Delete the credentials of observers if the launcher, which else does so, was killed."""
-    from mast_zenoh.config.allowed_code import SHIPPED
+    from mast_zenoh.config.loading import SHIPPED
     from mast_zenoh.launch import liveness
     from mast_zenoh.launch.context import VIEWER_CREDENTIALS
     from mast_zenoh.mesh.security.credentials import VIEWER

@@ -22,7 +22,7 @@ from mast_zenoh.launch import ending
 from mast_zenoh.mesh.security import levels
 
 if TYPE_CHECKING:
-    from mast_zenoh.config.allowed_code import AllowedCode
+    from mast_zenoh.config.loading import AllowedCode
     from mast_zenoh.launch.run import EndedRun
     from mast_zenoh.runs.run import Run
     from mast_zenoh.show.comparison import Reference
@@ -234,7 +234,7 @@ def _show(finished: EndedRun, *, report: bool, against: str | None) -> tuple[Run
 
 def _reference(run: Run, against: str, *, interrupted: bool) -> tuple[Reference | None, RunFolderError | None]:
     """The run to compare with, or why that is not possible."""
-    from mast_zenoh.config.allowed_code import OWN_RUN
+    from mast_zenoh.config.loading import OWN_RUN
     from mast_zenoh.show import comparison
 
     if interrupted:
@@ -272,7 +272,7 @@ def check_reference(against: str | None) -> None:
 
 def allowed_code(*named: str | Path | None, confirmed: bool) -> AllowedCode:
     """The code that may run: files that this command line names, and with --trust all; those are printed."""
-    from mast_zenoh.config.allowed_code import AllowedCode  # the classes of all nodes are slow to load
+    from mast_zenoh.config.loading import AllowedCode  # the classes of all nodes are slow to load
 
     def announce(sentence: str) -> None:
         err.print(sentence, style="yellow", markup=False, highlight=False)

@@ -20,7 +20,7 @@ from mast_zenoh.run_folder import reading
 from mast_zenoh.show.formats import FORMATS, GONE, check
 
 if TYPE_CHECKING:
-    from mast_zenoh.show.film.look import Look
+    from mast_zenoh.show.film.takes import Look
 
 
 _POLL_S = 0.2  # for new lines of logs
@@ -187,7 +187,7 @@ _LOOK = ("agent", "camera", "window", "theme", "size", "dpi", "plain", "title")
 
 def _look(values: Mapping[str, Any]) -> Look:
     """What a film or a still shows, by the options of its command."""
-    from mast_zenoh.show.film.look import Look
+    from mast_zenoh.show.film.takes import Look
 
     estimates, captions = (tuple(values[name] or ()) for name in ("estimates", "captions"))
     chosen = {name: values[name] for name in _LOOK}

@@ -18,7 +18,7 @@ from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.run_folder import reading
 
 if TYPE_CHECKING:
-    from mast_zenoh.config.allowed_code import AllowedCode
+    from mast_zenoh.config.loading import AllowedCode
     from mast_zenoh.launch.context import RunContext
 
 #: Of a viewer that is served to no more.
@@ -116,7 +116,7 @@ def observe(target: str, run: str, port: int, allowed: AllowedCode, *, browser: 
     allowed: which of the code that the run folder names may run
     """
     from mast_zenoh.runs.live.priority import yield_processors
-    from mast_zenoh.show.page import live_view
+    from mast_zenoh.show.page import live_server
     from mast_zenoh.show.page.live_server import Feed, LiveServer
 
     servers = []
@@ -128,7 +128,7 @@ def observe(target: str, run: str, port: int, allowed: AllowedCode, *, browser: 
             yield_processors()
 
         running, session, stop = observers.join(stack, target, run, allowed, open_page)
-        live_view.show(running, session, servers[0], stop)
+        live_server.show(running, session, servers[0], stop)
 
 
 def announce(url: str, browser: bool) -> None:

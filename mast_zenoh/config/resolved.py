@@ -1,4 +1,7 @@
-"""A fully resolved scenario, as stored in run folders and sent to processes."""
+"""A fully resolved scenario, as stored in run folders and sent to processes.
+
+Actions of a timeline on processes, frame by frame.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,10 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from mast_zenoh.config import loading, plugins, registry
-from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
-from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.loading import SHIPPED, AllowedCode
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.limits import Timespan
@@ -23,8 +25,9 @@ from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.v2x.reference_position import LocalPlane
 from mast_zenoh.wiring.model import Wiring
 
-if TYPE_CHECKING:  # most nodes never load a scene
+if TYPE_CHECKING:
     from mast_zenoh.scenes.recording import Recording
+
 
 RECORDING = "scene.npz"
 
@@ -246,3 +249,25 @@ def build_node(spec: NodeSpec, name: str, place: str = "scenario.json", cls: typ
     node = registry.construct(cls, spec.config, f"{place}: {name}")
     assert isinstance(node, Node)
     return node
+
+
+#: kill: at once, without results; leave: requested to finish; start: for the first time, or again;
+#: pause, resume: stopped and continued by signals; disconnect, connect: from and to its networks.
+ACTIONS = ("kill", "leave", "start", "pause", "resume", "disconnect", "connect")
+
+#: Actions that end a node.
+LEAVING = ("kill", "leave")
+
+#: Actions only for real time: in lock-step, the run waits for every node.
+REALTIME = ("pause", "resume", "disconnect", "connect")
+
+#: Actions that last until another one ends them, with that other action.
+UNDONE_BY = {"pause": "resume", "disconnect": "connect"}
+
+
+class ProcessStep(NamedTuple):
+    """One action, of ACTIONS, on `node` at the boundary before frame `frame`."""
+
+    frame: int
+    action: str
+    node: str

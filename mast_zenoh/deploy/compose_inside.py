@@ -29,8 +29,8 @@ from mast_zenoh.launch.context import Mesh, RunContext, deployment_of
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.mesh import hosting
 from mast_zenoh.mesh.control import control_prefix, flow, prefix
+from mast_zenoh.mesh.control.codec import Signatures
 from mast_zenoh.mesh.control.key_marks import control_mark
-from mast_zenoh.mesh.control.signatures import Signatures
 from mast_zenoh.mesh.hosting import UP
 from mast_zenoh.mesh.security.credentials import Credentials
 from mast_zenoh.mesh.session import direct

@@ -20,7 +20,7 @@ from mast_zenoh.config import plugins
 from mast_zenoh.deploy import docker as engine
 from mast_zenoh.deploy.compose import command
 from mast_zenoh.errors import BackendError, EngineError
-from mast_zenoh.launch.netns import shaping
+from mast_zenoh.launch.netns import namespaces
 from mast_zenoh.mesh.security import explain
 from mast_zenoh.mesh.session import open_router
 
@@ -172,7 +172,7 @@ def _ssh() -> str:
 
 def _namespaces() -> str:
     wanted = {need: ["hosts"] for need in ("partition", "loss", "bandwidth", "delay")}
-    return f"yes, delays by {shaping.delays_by(wanted)}"
+    return f"yes, delays by {namespaces.delays_by(wanted)}"
 
 
 def disk_space() -> Diagnosis:

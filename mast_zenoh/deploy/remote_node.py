@@ -24,16 +24,15 @@ from pathlib import Path
 import zenoh
 
 from mast_zenoh import version
-from mast_zenoh.config.allowed_code import OWN_RUN
+from mast_zenoh.config.loading import OWN_RUN
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MastError, StartError
 from mast_zenoh.mesh import hosting
 from mast_zenoh.mesh.control.flow import LEAVE
 from mast_zenoh.mesh.file_client import FileClient, HandIn, files_written_by
-from mast_zenoh.mesh.hosting import LauncherWatch
+from mast_zenoh.mesh.hosting import LauncherWatch, end_own_strays
 from mast_zenoh.mesh.security.credentials import Credentials
 from mast_zenoh.mesh.session import open_router
-from mast_zenoh.mesh.strays import end_own_strays
 
 #: Default time that a node continues without a launcher, s.
 PATIENCE_S = 30.0

@@ -1,4 +1,7 @@
-"""What happened to a car that was driven: collisions, near misses, braking, comfort, progress, and those behind it."""
+"""What happened to a car that was driven: collisions, near misses, braking, comfort, progress, and those behind it.
+
+Where the outlines of a car and of objects overlap: at the same time, and one after the other.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from mast_zenoh.arrays.boxes import overlapping
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.driving import braking
 from mast_zenoh.driving.braking import Belief, Commands, spans
-from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2, uncomfortable
-from mast_zenoh.driving.contact import collisions, post_encroachment_s
 from mast_zenoh.driving.corridor import InCorridor, crossing, in_corridor, needed_braking
 from mast_zenoh.driving.followers import behind_car
-from mast_zenoh.driving.motion import RouteAhead
+from mast_zenoh.driving.motion import HARD_BRAKING_MPS2, RouteAhead, uncomfortable
 from mast_zenoh.metrics.driving import STANDING_MPS, Driving, RoadUsers, SafeDistance, VehicleCourse
 
 #: s and m/s^2: below this time to collision, and above this braking that avoids it, an encounter is a near miss.
@@ -354,3 +356,42 @@ def _slope(values: Floats, period_s: float) -> Floats:
         return np.zeros(0)
     weight = np.arange(half, -half - 1, -1.0)  # the slope of the parabola through a window is that of the line
     return np.convolve(values, weight / (period_s * (weight**2).sum()), "valid")
+
+
+#: s; a longer time between two that use the same place is no encounter.
+_LONGEST_S = 5.0
+#: rad; who comes at a smaller angle follows, and does not cross.
+_CROSSING = np.deg2rad(30.0)
+
+
+def collisions(car: VehicleCourse, objects: RoadUsers) -> Ints:
+    """Rows (k,) of the n objects whose outlines overlap that of the car in the same frame, ascending."""
+    return _overlapping(car, objects, np.arange(len(objects.frame)), objects.frame)
+
+
+def post_encroachment_s(car: VehicleCourse, objects: RoadUsers, period_s: float) -> float | None:
+    """The shortest post-encroachment time of a car and the objects that cross its way, s; None: above 5 s.
+
+    It is the time between the last moment at which one of the two is at a place, and the first at which the other is;
+    here between two frames, so that it is too long by less than two. Who follows the car, or is followed, does not
+    count.
+
+    Source: Allen, Shin and Cooper, Analysis of traffic conflicts and collisions (Transportation Research Record 667,
+    1978).
+    """
+    frames = len(car.position)
+    for apart in range(round(_LONGEST_S / period_s) + 1):
+        for shift in {apart, -apart}:
+            row = objects.frame + shift
+            rows = np.flatnonzero((row >= 0) & (row < frames))
+            met = _overlapping(car, objects, rows, row[rows])
+            if (np.abs(wrap_angle(objects.yaw[met] - car.heading[row[met]])) >= _CROSSING).any():
+                return apart * period_s
+    return None
+
+
+def _overlapping(car: VehicleCourse, objects: RoadUsers, rows: Ints, at: Ints) -> Ints:
+    """Of (k,) rows of objects, those whose outlines overlap that of the car in its frames `at` (k,)."""
+    offset = objects.position[rows, :2] - car.position[at, :2]
+    own = np.broadcast_to([car.length, car.width], offset.shape)
+    return rows[overlapping(offset, own, car.heading[at], objects.size[rows], objects.yaw[rows])]

@@ -1,7 +1,8 @@
-"""A car along its lane and beside it: the kinematic bicycle model, commands, and what a car can do."""
+"""How a car moves: the bicycle model, which command it carries out, and what is comfortable."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -10,7 +11,7 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import distance_along
-from mast_zenoh.arrays.states import Floats
+from mast_zenoh.arrays.states import Bools, Floats
 
 
 class Command(NamedTuple):
@@ -117,3 +118,78 @@ def drive(offset: Floats, turn: Floats, distance: Floats, curvature: Floats, lan
         fourth = slope(state + dx * third)
         state = state + dx / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
     return LaneMotion(*state)
+
+
+#: s, until which a world's cars drive as in the prepared scene, and for which a car without commands goes on as it was
+#: told, if a scenario says nothing else.
+TAKE_OVER_S, HOLD_S = 1.0, 0.3
+
+
+class Actuation:
+    """What one car does with the commands that it gets.
+
+    A command of a frame acts in the next one. If that one has no command, because it is late, lost or refused, the car
+    goes on as the newest command said, for at most `hold_frames` frames; then it brakes along its last curvature,
+    until a newer command arrives. A late command acts when it arrives, if it is new enough to be held.
+
+    limits: of the car; braking: m/s^2, of a car without commands, if it can
+    counts: of frames, by what the car did: "commanded", "held", "braked"; and of refused commands, "refused"
+    """
+
+    def __init__(self, limits: CarLimits, hold_frames: int, braking: float) -> None:
+        self.limits, self.hold_frames, self.braking = limits, hold_frames, min(braking, limits.braking)
+        self.counts: Counter[str] = Counter(commanded=0, held=0, braked=0, refused=0)
+        self._newest: tuple[int, Command] | None = None
+
+    def receive(self, frame: int, now: int, command: Command) -> str:
+        """Take a command of a frame; returns the reason why it is refused, or "". now: the current frame"""
+        reason = self._refusal(frame, now, command)
+        if reason:
+            self.counts["refused"] += 1
+        else:
+            self._newest = frame, command
+        return reason
+
+    def _refusal(self, frame: int, now: int, command: Command) -> str:
+        if frame > now:
+            return f"early: command of frame {frame}, which has not begun"
+        if self._newest is not None and frame <= self._newest[0]:
+            return f"old: command of frame {frame} after that of frame {self._newest[0]}"
+        return self.limits.refusal(command)
+
+    def obeyed(self, frame: int) -> int:
+        """The frame whose command the car carries out from the frame before until `frame`; -1: of none, it brakes."""
+        if self._newest is None or frame - 1 - self._newest[0] > self.hold_frames:
+            return -1
+        return self._newest[0]
+
+    def act(self, frame: int) -> Command:
+        """What the car does from the frame before until `frame`."""
+        _, newest = self._newest or (-1, Command(0.0, 0.0))
+        sent = self.obeyed(frame)
+        if sent < 0:
+            self.counts["braked"] += 1
+            return Command(-self.braking, newest.curvature)
+        self.counts["held" if sent < frame - 1 else "commanded"] += 1
+        return newest
+
+
+#: Bounds of comfort by name: the least and the greatest m/s^2, m/s^3, rad/s or rad/s^2. Source: the comfort metric of
+#: nuPlan (Caesar et al., NuPlan: A closed-loop ML-based planning benchmark for autonomous vehicles, 2021).
+COMFORT = {
+    "braking": (-4.05, np.inf),
+    "acceleration": (-np.inf, 2.40),
+    "lateral_acceleration": (-4.89, 4.89),
+    "jerk": (-8.37, 8.37),
+    "longitudinal_jerk": (-4.13, 4.13),
+    "yaw_rate": (-0.95, 0.95),
+    "yaw_acceleration": (-1.93, 1.93),
+}
+#: m/s^2; harder braking is not comfortable.
+HARD_BRAKING_MPS2 = -COMFORT["braking"][0]
+
+
+def uncomfortable(name: str, values: Floats) -> Bools:
+    """Whether values of any shape are beyond a bound of COMFORT."""
+    least, most = COMFORT[name]
+    return np.asarray((values < least) | (values > most))

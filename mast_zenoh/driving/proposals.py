@@ -9,10 +9,9 @@ import numpy as np
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import along_and_across, wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, lowest_rows
-from mast_zenoh.driving.comfort import uncomfortable
 from mast_zenoh.driving.driver import BEFORE_LINE_M, Driver, Situation, steering
 from mast_zenoh.driving.following import IntelligentDriverModel
-from mast_zenoh.driving.motion import Command
+from mast_zenoh.driving.motion import Command, uncomfortable
 
 #: Target speeds, as shares of the greatest speed, and offsets to the left, m, of proposals: the first of equals wins.
 SPEEDS = (1.0, 0.8, 0.6, 0.4, 0.2)

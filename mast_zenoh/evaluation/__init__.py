@@ -5,8 +5,8 @@
     run_scoring   the evaluation of a run, block by block of its frames
     estimate_wires  which estimates are on the wires, and what can affect them
     from_effects  manipulations, from the measured effects of interposers (mast_zenoh.evaluation.effects)
-    driven        what happened to the cars that drivers drove
-    driver_wires  on which keys the messages of drivers are, also of those that a replay plays
+    driven        what happened to the cars that drivers drove; on which keys the messages of drivers are, also of
+                  those that a replay plays
     trust         what the command centre's trust was worth
 
 See docs/metrics.md and docs/effects.md.

@@ -10,7 +10,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.driving import CarLimits
-from mast_zenoh.driving.actuation import HOLD_S, TAKE_OVER_S
+from mast_zenoh.driving.motion import HOLD_S, TAKE_OVER_S
 from mast_zenoh.evaluation import trust
 from mast_zenoh.evaluation.effects import EFFECTS, Effects, effects_of, reports
 from mast_zenoh.evaluation.effects.reports import Agreement
@@ -39,9 +39,8 @@ from mast_zenoh.metrics import (
     cause_names,
 )
 from mast_zenoh.metrics.attributor import Withheld
-from mast_zenoh.metrics.causes import ATTACK_CAUSES, CauseLabels
+from mast_zenoh.metrics.causes import ATTACK_CAUSES, INSERTED, CauseLabels
 from mast_zenoh.metrics.estimates import PICTURE
-from mast_zenoh.metrics.manipulations import INSERTED
 from mast_zenoh.metrics.measures import check, per_frame
 from mast_zenoh.metrics.scores import LastMatches
 from mast_zenoh.metrics.trust import Fault

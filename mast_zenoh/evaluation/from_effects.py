@@ -15,9 +15,9 @@ from mast_zenoh.evaluation.effects.passages import Spoof
 from mast_zenoh.evaluation.effects.table import insertions
 from mast_zenoh.evaluation.estimate_wires import Influences
 from mast_zenoh.metrics import AttributionLimits, Boxes, Manipulations, Scores
-from mast_zenoh.metrics.boxes import Places, nearest, occurs
+from mast_zenoh.metrics.assignment import Places, nearest, occurs
+from mast_zenoh.metrics.causes import ALTERED, COLUMNS, INSERTED, KINDS, MOVED, REMOVED
 from mast_zenoh.metrics.estimates import PICTURE
-from mast_zenoh.metrics.manipulations import ALTERED, COLUMNS, INSERTED, KINDS, MOVED, REMOVED
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.wiring.model import InterposedWire, agent_of
 

@@ -30,7 +30,6 @@ from mast_zenoh.metrics.achievement import Manipulated
 from mast_zenoh.metrics.causes import CauseCounts, cause_counts
 from mast_zenoh.metrics.consistency import PairDeviations, counts, deviations
 from mast_zenoh.metrics.driving import Drive
-from mast_zenoh.metrics.judged_estimate import Estimate, EstimateColumns, estimates_of
 from mast_zenoh.metrics.measures import MEASURES, ScoredRun, described, frame_keys, measured
 from mast_zenoh.metrics.pictures import (
     consistency_of_pictures,
@@ -41,6 +40,7 @@ from mast_zenoh.metrics.pictures import (
 )
 from mast_zenoh.metrics.ranking import mean_ranking, rankings
 from mast_zenoh.metrics.scores import FrameScores, ObjectsMatched, mean_and_std
+from mast_zenoh.metrics.scoring import Estimate, EstimateColumns, estimates_of
 from mast_zenoh.wiring.model import agent_of
 
 #: s; how much later than its frame a message may be sent and still be scored.

@@ -10,10 +10,10 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.evaluation.effects import Effects
 from mast_zenoh.evaluation.estimate_wires import Influences
-from mast_zenoh.fusion.pipelines.relays import RELAY
+from mast_zenoh.fusion.pipelines.heard import RELAY
 from mast_zenoh.integrity import STATES
 from mast_zenoh.metrics import Table
-from mast_zenoh.metrics.boxes import Places, nearest
+from mast_zenoh.metrics.assignment import Places, nearest
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.metrics.trust import (
     Conduct,

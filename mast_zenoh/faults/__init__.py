@@ -1,14 +1,13 @@
 """Faults on a timeline and their effects on links, processes and the host network.
 
     base      the faults: of messages, of detections, of processes
-    plan      conversion of faults to link rules, process steps and bands of the timeline
+    plan      conversion of faults to link rules, process steps and bands of the timeline; random lists of faults
     network   hosts and their links
-    schedule  random lists of faults
 
 Pure: these modules start, kill and send nothing. See docs/faults.md.
 """
 
-from mast_zenoh.config.process_steps import ACTIONS, ProcessStep
+from mast_zenoh.config.resolved import ACTIONS, ProcessStep
 from mast_zenoh.faults.base import (
     BandwidthLimit,
     BlindSector,
@@ -34,8 +33,7 @@ from mast_zenoh.faults.base import (
     SlowNode,
     Unplug,
 )
-from mast_zenoh.faults.plan import FaultPlan, plan
-from mast_zenoh.faults.schedule import random_schedule
+from mast_zenoh.faults.plan import FaultPlan, plan, random_schedule
 
 __all__ = [
     "ACTIONS",

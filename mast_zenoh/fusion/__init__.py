@@ -6,11 +6,15 @@ See docs/tracking.md.
 from mast_zenoh.fusion.base import Clusterer, Fusion, GroupTracker
 from mast_zenoh.fusion.clustering import DBSCANClusterer, SampledAssignmentClusterer
 from mast_zenoh.fusion.covariance_check import CheckedCovariances, CovarianceCheck, ReportedCovariances
-from mast_zenoh.fusion.covariance_intersection import BestMemberFusion, CovarianceIntersectionFusion, NaiveKalmanFusion
+from mast_zenoh.fusion.covariance_intersection import (
+    BestMemberFusion,
+    CovarianceIntersectionFusion,
+    InverseCovarianceIntersectionFusion,
+    NaiveKalmanFusion,
+)
 from mast_zenoh.fusion.group_tracking import GroupTrackerWrapper, UnfilteredGroupTracker
 from mast_zenoh.fusion.information_matrix import InformationMatrixGroupTracker
 from mast_zenoh.fusion.input_limit import FairInput, InputLimit, NoInputLimit
-from mast_zenoh.fusion.inverse_covariance_intersection import InverseCovarianceIntersectionFusion
 
 __all__ = [
     "BestMemberFusion",

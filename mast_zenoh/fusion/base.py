@@ -12,7 +12,7 @@ from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASSES, Floats, Ints, ObjectStates, row_order
 from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.base import Innovations
-from mast_zenoh.tracking.covariances import make_positive_definite
+from mast_zenoh.tracking.kalman import make_positive_definite
 from mast_zenoh.tracking.tracks import known_class
 
 

@@ -26,7 +26,7 @@ from mast_zenoh.arrays.matching import (
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, by_agent, within_runs
 from mast_zenoh.fusion.base import Clusterer, trusted_rows
 from mast_zenoh.kernels import kernel
-from mast_zenoh.tracking.covariances import make_positive_definite
+from mast_zenoh.tracking.kalman import make_positive_definite
 from mast_zenoh.tracking.tracks import ONE_OBJECT, overlap
 
 #: Squared Mahalanobis distance that one in 10,000 of a chi-square distribution with six degrees of freedom exceeds.

@@ -11,7 +11,7 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.fusion.base import trusted_rows
 from mast_zenoh.kernels import kernel
-from mast_zenoh.tracking.covariances import MAX_VARIANCE, symmetrise
+from mast_zenoh.tracking.kalman import MAX_VARIANCE, symmetrise
 
 #: Kept pairs of a track with later ones of its cluster: limits what a hostile source costs.
 _MAX_PARTNERS = 32

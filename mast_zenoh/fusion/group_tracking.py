@@ -15,7 +15,7 @@ from mast_zenoh.fusion.clustering import squared_distance
 from mast_zenoh.tracking import classes
 from mast_zenoh.tracking.association import Assignment, BipartiteAssignment
 from mast_zenoh.tracking.base import Innovations, Tracker
-from mast_zenoh.tracking.covariances import make_positive_definite
+from mast_zenoh.tracking.kalman import make_positive_definite
 from mast_zenoh.tracking.tracks import known_class
 
 #: Squared Mahalanobis distance that one in 1,000 of a chi-square distribution with four degrees of freedom exceeds.

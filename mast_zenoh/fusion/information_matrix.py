@@ -10,9 +10,8 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates, concaten
 from mast_zenoh.fusion.base import state_vectors, trusted_rows
 from mast_zenoh.fusion.group_tracking import GroupTrackerWrapper
 from mast_zenoh.tracking.box_tracker import KalmanBoxTracker3D
-from mast_zenoh.tracking.covariances import inverse, make_positive_definite
 from mast_zenoh.tracking.interacting_models import InteractingModels
-from mast_zenoh.tracking.kalman import BoxFilter, predicted
+from mast_zenoh.tracking.kalman import BoxFilter, inverse, make_positive_definite, predicted
 from mast_zenoh.tracking.tracks import COVARIANCE, ID, MEAN, ROW, covariances
 
 #: ns after which a track that is not fused any more is forgotten: what is left of its information is next to nothing.

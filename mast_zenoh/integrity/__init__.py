@@ -3,16 +3,13 @@
 base         what a stage gets and returns, one box for each cluster, STATES of agents; NoIntegrity
 views        what the agents' sensors cover
 visibility   what the rays of sensors say about boxes: which should see an object, and which see through it
-memory       follows objects and agents from batch to batch
-reputation   how often each agent's claims have held up
-disputes     what agents say of each object, and who contradicts whom
-explanations which agents must be lying, and which may be
+memory       follows objects and agents from batch to batch; how often each agent's claims have held up
+disputes     what agents say of each object, who contradicts whom, and who must or may be lying
 existence    which objects exist, given that
-deviations   how far each agent's tracks are from the others', for how long, and how usual that is
+deviations   how far each agent's tracks are from the others', for how long, and how usual that is; what a fault does
+             to tracks and views; medians of columns, groups and members of clusters
 alarms       cumulative sums of evidence, and when they are alarms
-medians      of columns, groups and members of clusters
 calibration  the seeds and junctions on which thresholds were chosen
-agent_fault  what a fault does to tracks and views
 relative_faults  how the tracks of each pair of agents differ, and which agents are faulty
 voting       which objects exist; the stages KOfN and FreeSpace
 agreement    matched boxes of two sets, and their Jaccard index

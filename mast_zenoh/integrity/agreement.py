@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mast_zenoh.arrays.boxes import intersection_area
 from mast_zenoh.arrays.matching import min_cost_matching, neighbours
-from mast_zenoh.arrays.rectangles import intersection_area
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import ClusterBoxes
 

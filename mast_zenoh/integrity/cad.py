@@ -11,6 +11,7 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
 from mast_zenoh.integrity.consensus import CheckCount
+from mast_zenoh.integrity.memory import BetaReputation
 from mast_zenoh.integrity.occupancy import (
     AreaLimits,
     OccupiedArea,
@@ -20,7 +21,6 @@ from mast_zenoh.integrity.occupancy import (
     sampled,
     uncovered_m2,
 )
-from mast_zenoh.integrity.reputation import BetaReputation
 from mast_zenoh.integrity.visibility import current, sightings
 
 #: m, heights above the ground between which returns may be those of a vehicle, as in the original.

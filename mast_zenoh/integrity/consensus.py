@@ -25,7 +25,7 @@ from mast_zenoh.integrity.base import (
     Integrity,
     ObjectTrust,
 )
-from mast_zenoh.integrity.reputation import BetaReputation
+from mast_zenoh.integrity.memory import BetaReputation
 from mast_zenoh.integrity.views import SweptView
 
 

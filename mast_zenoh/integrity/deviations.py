@@ -3,20 +3,28 @@ that is in the run.
 
 Errors of real detectors last for seconds, so their mean does not shrink with the number of frames, and no number of
 frames makes evidence. What counts is how a mean compares with those of all agents and objects in the same run.
+
+What a fault of an agent does to its tracks and its view, and how to undo it.
+
+A fault is (4,): x and y in m, a turn in rad, and a lead in s, by which its tracks are ahead; it moves all tracks of the
+agent alike.
+
+Medians of columns, of groups, and of the members of clusters.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.arrays.matching import neighbours
-from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.integrity.agent_fault import PRIOR
+from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
-from mast_zenoh.integrity.medians import column_medians, weighted_medians
+from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import MAX_ERROR_M
+from mast_zenoh.kernels import kernel
 
 #: What is compared, two numbers of each: x and y of position, m, and velocity, m/s; heading of the length axis, rad,
 #: modulo 180 degrees; length and width, relative to the middle.
@@ -276,3 +284,99 @@ class LastingDeviations:
         rows = np.array([row for _, row in kept], np.int64)
         self._row = {key: row for row, (key, _) in enumerate(kept)}
         self._mean, self._weight, self._time_ns = self._mean[rows], self._weight[rows], self._time_ns[rows]
+
+
+#: m, m/s: a track by which turns and delays are compared with displacements.
+ARM_M, SPEED_MPS = 30.0, 10.0
+#: Variances of a fault before any evidence: (2 m, 2 m, 0.1 rad, 0.3 s) squared.
+PRIOR = np.array([4.0, 4.0, 0.01, 0.09])
+
+
+def displacements(arm: Floats, velocity: Floats) -> Floats:
+    """(k, 2, 4) derivatives of the displacement of tracks by a fault.
+
+    arm: (k, 2) m, from the point about which the agent turns; velocity: (k, 2) m/s
+    """
+    result = np.zeros((len(arm), 2, 4))
+    result[:, 0, 0] = result[:, 1, 1] = 1.0
+    result[:, 0, 2], result[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    result[:, :, 3] = velocity
+    return result
+
+
+def without_fault(states: ObjectStates, rows: Bools, fault: Floats, pivot: Floats) -> ObjectStates:
+    """Tracks without the fault (4,) of an agent.
+
+    rows: (n,) of the agent; pivot: (2,) m
+    """
+    x, y, turn, lead = fault.tolist()
+    position, velocity, yaw = states.position.copy(), states.velocity.copy(), states.yaw.copy()
+    arm = position[rows, :2] - pivot
+    moved = np.column_stack([x - turn * arm[:, 1], y + turn * arm[:, 0]]) + lead * velocity[rows, :2]
+    position[rows, :2] -= moved
+    vx, vy = velocity[rows, :2].T
+    velocity[rows, :2] = np.column_stack([vx + turn * vy, vy - turn * vx])
+    yaw[rows] -= turn
+    return states.with_(position=position, velocity=velocity, yaw=yaw)
+
+
+def displacement_m(fault: Floats) -> Floats:
+    """(...) m, by which faults (..., 4) move a track that is ARM_M away and drives at SPEED_MPS."""
+    shift = np.hypot(fault[..., 0], fault[..., 1])
+    return np.asarray(np.maximum(shift, np.maximum(ARM_M * np.abs(fault[..., 2]), SPEED_MPS * np.abs(fault[..., 3]))))
+
+
+def described(fault: Floats) -> str:
+    """A fault (4,) in words, as far as it shows: "all its tracks are shifted by 0.8 m, turned by -0.6°"."""
+    x, y, turn, lead = fault.tolist()
+    shift, degrees = float(np.hypot(x, y)), float(np.degrees(turn))
+    parts = [
+        f"shifted by {shift:.1f} m" if round(shift, 1) else "",
+        f"turned by {degrees:.1f}°" if round(degrees, 1) else "",
+        f"{abs(lead):.2f} s {'early' if lead > 0.0 else 'late'}" if round(lead, 2) else "",
+    ]
+    return f"all its tracks are {', '.join(part for part in parts if part) or 'slightly off'}"
+
+
+def view_without_fault(view: SweptView, fault: Floats) -> SweptView:
+    """A view without the fault (4,) of its agent; its sensor is the pivot of the turn."""
+    position = view.view.position - np.array([fault[0], fault[1], 0.0])
+    return replace(
+        view, view=replace(view.view, position=position, rotation=rotation_from_yaw(-fault[2]) @ view.view.rotation)
+    )
+
+
+def column_medians(values: Floats | Ints) -> Floats:
+    """(q,) medians of the numbers in each column (k, q); NaN for a column without any."""
+    if not len(values):
+        return np.full(values.shape[1], np.nan)
+    ordered, count = np.sort(values, axis=0), (~np.isnan(values)).sum(axis=0)  # NaN are the last
+    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, len(values) - 1)
+    column = np.arange(values.shape[1])
+    return np.asarray(0.5 * (ordered[low, column] + ordered[high, column]))
+
+
+def group_medians(values: Floats, group: Ints) -> Floats:
+    """(g, k) medians of the columns of values (n, k) in each of g groups that occur. group: (n,) >= 0"""
+    count = np.bincount(group)
+    count = count[count > 0]
+    first = np.cumsum(count) - count
+    low, high = first + (count - 1) // 2, first + count // 2
+    ordered = np.column_stack([column[np.lexsort((column, group))] for column in values.T])
+    return np.asarray(0.5 * (ordered[low] + ordered[high]))
+
+
+@kernel
+def weighted_medians(values: Floats, member: Ints, weight: Floats) -> Floats:
+    """(c, q) weighted medians of the values of the members of clusters, the middle of their ends where they differ.
+
+    values: (n, q) of n tracks; member: (c, a) rows of tracks; weight: (c, a) >= 0, of each member
+    """
+    table = values[member].transpose(0, 2, 1)
+    order = np.argsort(table, axis=2, kind="stable")
+    ordered = np.take_along_axis(table, order, axis=2)
+    below = np.cumsum(np.take_along_axis(np.broadcast_to(weight[:, None], table.shape), order, axis=2), axis=2)
+    half = 0.5 * below[..., -1:]
+    ends = [(below >= half * (1.0 - 1e-9)).argmax(axis=2), (below > half * (1.0 + 1e-9)).argmax(axis=2)]
+    low, high = (np.take_along_axis(ordered, end[..., None], axis=2)[..., 0] for end in ends)
+    return np.asarray(0.5 * (low + high))

@@ -9,9 +9,8 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import Batch, ClusterBoxes, ObjectTrust
-from mast_zenoh.integrity.disputes import Evidence
-from mast_zenoh.integrity.explanations import Explanations
-from mast_zenoh.integrity.medians import column_medians
+from mast_zenoh.integrity.deviations import column_medians
+from mast_zenoh.integrity.disputes import Evidence, Explanations
 from mast_zenoh.integrity.memory import NOW, VOTE_MEMORY_S, AgentMemory, VoteMemory
 from mast_zenoh.integrity.visibility import FAR_M, silent_about
 

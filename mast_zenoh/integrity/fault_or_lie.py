@@ -10,8 +10,8 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates, by_agent
-from mast_zenoh.integrity.agent_fault import described, view_without_fault, without_fault
 from mast_zenoh.integrity.base import FAULTY, SUSPENDED, Assessment, Batch, Integrity
+from mast_zenoh.integrity.deviations import described, view_without_fault, without_fault
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.relative_faults import RelativeFaults
 from mast_zenoh.integrity.sequential import SequentialConsistency

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from mast_zenoh.arrays.boxes import corners, intersection_area
 from mast_zenoh.arrays.checks import check
-from mast_zenoh.arrays.rectangles import corners, intersection_area
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.agreement import select
 from mast_zenoh.integrity.alarms import discoveries

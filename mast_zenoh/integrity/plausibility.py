@@ -12,8 +12,7 @@ from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
 from mast_zenoh.integrity.disputes import on_ground, plausible_size
-from mast_zenoh.integrity.memory import NOW, ObjectMemory
-from mast_zenoh.integrity.reputation import INDEPENDENT_S, BetaReputation
+from mast_zenoh.integrity.memory import INDEPENDENT_S, NOW, BetaReputation, ObjectMemory
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import TOLERANCES
 from mast_zenoh.tracking.tracks import ONE_OBJECT, overlap

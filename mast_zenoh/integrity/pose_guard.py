@@ -11,7 +11,7 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
 from mast_zenoh.integrity.consensus import CheckCount, check_agent
-from mast_zenoh.integrity.reputation import BetaReputation
+from mast_zenoh.integrity.memory import BetaReputation
 from mast_zenoh.integrity.visibility import current, seen_through
 
 

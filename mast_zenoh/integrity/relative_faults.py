@@ -16,9 +16,9 @@ import numpy as np
 
 from mast_zenoh.arrays.matching import neighbours, pairs_within_radius
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
-from mast_zenoh.integrity.agent_fault import PRIOR, displacement_m, displacements
 from mast_zenoh.integrity.alarms import MAX_STEP_S, SAMPLES_PER_S
-from mast_zenoh.integrity.explanations import Explanations
+from mast_zenoh.integrity.deviations import PRIOR, displacement_m, displacements
+from mast_zenoh.integrity.disputes import Explanations
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.kernels import kernel
 

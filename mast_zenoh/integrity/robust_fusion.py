@@ -9,8 +9,8 @@ import numpy as np
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, Integrity, ObjectTrust
-from mast_zenoh.integrity.reputation import BetaReputation
-from mast_zenoh.tracking.covariances import make_positive_definite
+from mast_zenoh.integrity.memory import BetaReputation
+from mast_zenoh.tracking.kalman import make_positive_definite
 
 #: Rows of the state that members are compared by, in COVARIANCE_ORDER: x y vx vy.
 _COMPARED = np.array([0, 1, 6, 7])

@@ -8,7 +8,6 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.integrity.agent_fault import displacements
 from mast_zenoh.integrity.alarms import EXCUSED_S, MAX_STEP_S, Tail, accumulate, discoveries
 from mast_zenoh.integrity.base import (
     SUSPENDED,
@@ -29,10 +28,18 @@ from mast_zenoh.integrity.deviations import (
     LastingDeviations,
     Means,
     deviations,
+    displacements,
 )
-from mast_zenoh.integrity.disputes import ACCUSATIONS, OF_ITSELF, Evidence, Testimonies
+from mast_zenoh.integrity.disputes import (
+    ACCUSATIONS,
+    OF_ITSELF,
+    Evidence,
+    Explanations,
+    Testimonies,
+    Verdict,
+    explained,
+)
 from mast_zenoh.integrity.existence import BRIEF_S, ExistenceVotes
-from mast_zenoh.integrity.explanations import Explanations, Verdict, explained
 from mast_zenoh.integrity.memory import NOW, AgentMemory
 
 #: s, before the first evidence against an agent, in which it may have lied unnoticed.

@@ -8,8 +8,7 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
-from mast_zenoh.integrity.memory import VoteMemory
-from mast_zenoh.integrity.reputation import BetaReputation
+from mast_zenoh.integrity.memory import BetaReputation, VoteMemory
 from mast_zenoh.integrity.visibility import FAR_M, rays_at, sightings, silent_about
 
 

@@ -8,7 +8,6 @@ launcher_protocol  what the launcher decides, without I/O: its loop;  progress: 
 live_interception  inserts nodes into wires while a run plays: the request and its server
 supervisor    starts, watches and ends nodes;  processes: as processes of this machine
               fork_server: the process that forks them, which has imported what nodes need
-              process_stat: what Linux says of a process
 engine        base class of deployment engines;  file_server: files for their nodes
 netns         the hosts of a run as network namespaces
 reports       what nodes report: failures of handlers, results

@@ -18,8 +18,7 @@ from mast_zenoh.errors import MessageError, RunFolderError, SceneError
 from mast_zenoh.launch import idle, notices
 from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.mesh.control import results
-from mast_zenoh.mesh.control.results import EVALUATOR, counts_of
-from mast_zenoh.mesh.control.tables import EXPECTED_NAME, MAX_TABLES, is_table_name
+from mast_zenoh.mesh.control.results import EVALUATOR, EXPECTED_NAME, MAX_TABLES, counts_of, is_table_name
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.estimates import PICTURE

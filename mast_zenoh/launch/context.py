@@ -16,8 +16,7 @@ from mast_zenoh.config.resolved import Resolved, driver_of
 from mast_zenoh.launch.launcher_protocol import RunState
 from mast_zenoh.launch.supervisor import Supervisor
 from mast_zenoh.mesh.control import prefix
-from mast_zenoh.mesh.control.codec import InvalidMessages
-from mast_zenoh.mesh.control.signatures import Signatures
+from mast_zenoh.mesh.control.codec import InvalidMessages, Signatures
 from mast_zenoh.mesh.security.control_keys import ControlKeys
 from mast_zenoh.mesh.security.deployment import Deployment
 from mast_zenoh.wiring.model import Wiring

@@ -27,7 +27,7 @@ gc.disable()  # what is imported stays: searching it for garbage delays the star
 import numpy as np  # noqa: E402
 
 from mast_zenoh.config import bundle, loading  # noqa: E402
-from mast_zenoh.launch.process_stat import stat_of  # noqa: E402
+from mast_zenoh.launch.liveness import stat_of  # noqa: E402
 from mast_zenoh.mesh.hosting import main, wake_when_orphaned  # noqa: E402
 
 #: Most bytes of a request.

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import msgpack
 from rich.markup import escape
 
-from mast_zenoh.config.process_steps import LEAVING
-from mast_zenoh.config.resolved import NodeSpec, Resolved
+from mast_zenoh.config.resolved import LEAVING, NodeSpec, Resolved
 from mast_zenoh.errors import (
     ConfigurationError,
     ImplausibleCounts,
@@ -31,7 +30,7 @@ from mast_zenoh.mesh.control import failures, flow
 from mast_zenoh.mesh.control import interception as control
 from mast_zenoh.mesh.control.failures import Entry
 from mast_zenoh.mesh.control.flow import StopKind, decode_reason
-from mast_zenoh.mesh.protocol.timetable import Timetable
+from mast_zenoh.mesh.protocol.pacer import Timetable
 from mast_zenoh.run_folder.recording import churn
 from mast_zenoh.wiring import insertion
 from mast_zenoh.wiring.insertion import InsertionPoint

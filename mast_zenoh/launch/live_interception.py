@@ -23,7 +23,7 @@ import zenoh
 
 from mast_zenoh.attacks import Attack
 from mast_zenoh.config import bundle, loading, registry
-from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
+from mast_zenoh.config.loading import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, NodeSpec, Resolved, build_node
 from mast_zenoh.config.settings import nested
 from mast_zenoh.errors import (

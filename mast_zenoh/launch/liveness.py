@@ -1,7 +1,4 @@
-"""Whether the launcher named in a run.json is still alive.
-
-A later process with the same process id is recognised by its start time, machine and boot.
-"""
+"""Whether a process, and the launcher of a run.json, is alive. Imports nothing slow: supervisors on hosts use it."""
 
 from __future__ import annotations
 
@@ -14,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from mast_zenoh.errors import RunFolderError, UntrustedCode
 from mast_zenoh.launch.ending import KILLED, RUNNING
-from mast_zenoh.launch.process_stat import began
 
 if TYPE_CHECKING:
-    from mast_zenoh.config.allowed_code import AllowedCode
+    from mast_zenoh.config.loading import AllowedCode
 
 
 def identity() -> dict[str, Any]:
@@ -104,3 +100,27 @@ def _here() -> dict[str, str]:
         "boot": known(content, "/proc/sys/kernel/random/boot_id"),
         "pid_namespace": known(os.readlink, "/proc/self/ns/pid"),
     }
+
+
+def stat_of(pid: int | str) -> list[str]:
+    """The fields of /proc/PID/stat from the third one, the state; [] for a process that has ended, or is unknown."""
+    try:
+        # The name, in parentheses, may itself contain spaces and parentheses (proc(5)).
+        return Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+    except OSError:
+        return []
+
+
+def began(pid: int) -> str | None:
+    """When a process began, in clock ticks since boot; None if there is none, or it is a zombie.
+
+    This identifies it, since process ids are reused.
+    """
+    fields = stat_of(pid)
+    return None if not fields or fields[0] in "ZX" else fields[19]
+
+
+def processor_time_s(pid: int) -> float | None:
+    """The processor time that a process has used, s, in all its threads; None if it has ended, or is unknown."""
+    fields = stat_of(pid)
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK") if len(fields) > 12 else None

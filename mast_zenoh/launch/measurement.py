@@ -16,14 +16,13 @@ from typing import Any, NamedTuple
 
 from mast_zenoh import run_folder
 from mast_zenoh.config import plugins
-from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
+from mast_zenoh.config.loading import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.errors import HandlerFailed, RunFolderError
 from mast_zenoh.launch import conclusion, liveness, notices
 from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.mesh.control import failures
-from mast_zenoh.mesh.control.results import EVALUATOR
-from mast_zenoh.mesh.control.tables import TablePart
+from mast_zenoh.mesh.control.results import EVALUATOR, TablePart
 from mast_zenoh.mesh.host import Host
 from mast_zenoh.messages import user_types
 from mast_zenoh.run_folder import read_json, read_object

@@ -21,9 +21,9 @@ from typing import IO, Any
 
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.errors import StartError
-from mast_zenoh.launch.process_stat import processor_time_s
+from mast_zenoh.launch.liveness import processor_time_s
 from mast_zenoh.launch.supervisor import Child, Supervisor
-from mast_zenoh.mesh.strays import RUN, end_strays
+from mast_zenoh.mesh.hosting import RUN, end_strays
 
 #: s, for the server to import everything and to answer, and for it to leave.
 _START_S, _END_S = 30.0, 5.0

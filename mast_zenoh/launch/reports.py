@@ -22,8 +22,7 @@ from mast_zenoh.mesh.control import files
 from mast_zenoh.mesh.control.codec import InvalidMessages
 from mast_zenoh.mesh.control.failures import MAX_HANDLERS, Entry, decode_failure, merged
 from mast_zenoh.mesh.control.key_marks import check_control_mark
-from mast_zenoh.mesh.control.results import decode_part, decode_result, is_part
-from mast_zenoh.mesh.control.tables import TablePart
+from mast_zenoh.mesh.control.results import TablePart, decode_part, decode_result, is_part
 from mast_zenoh.mesh.session import direct
 
 #: Reports of one node in the queue. An honest node sends results, and parts of tables, one at a time; a part that is

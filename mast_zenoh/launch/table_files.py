@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.errors import MessageError, RunFolderError
-from mast_zenoh.mesh.control.results import EVALUATOR, TABLES
-from mast_zenoh.mesh.control.tables import MAX_TABLES, TablePart
+from mast_zenoh.mesh.control.results import EVALUATOR, MAX_TABLES, TABLES, TablePart
 from mast_zenoh.run_folder import replacing, subfolder
 
 #: Limit on the columns in memory that one node may hand in while a run goes on, bytes.

@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from mast_zenoh import version
-from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
+from mast_zenoh.config.loading import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, Resolved
 from mast_zenoh.errors import HandlerFailed, MastError, NotComparable, UntrustedCode
 from mast_zenoh.launch import run

@@ -7,9 +7,9 @@ player       nodes that send what was recorded
 protocol/    what the processes of a run do, as state machines without I/O
 protocol_log what such a state machine was given and has asked for, and its replay
 zenoh_process   one node on a Zenoh mesh: what its protocol asks for and what arrives; the only part with threads
-hosting      builds a node's process from a resolved scenario, and ends it with the launcher
+hosting      builds a node's process from a resolved scenario, and ends it with the launcher; ends what the code of a
+             node has started, and would outlive it
 session      Zenoh sessions with our settings
 control/     control messages: schemas and validation;  security/  certificates, rights, signing keys
-strays       ends what the code of a node has started, and would outlive it
 file_client  transfers the files of a node on a host without the run folder
 """

@@ -19,7 +19,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, MessageError, nearest
 from mast_zenoh.mesh.control import results
 from mast_zenoh.mesh.control.failures import Failure
-from mast_zenoh.mesh.control.tables import PartedTables
+from mast_zenoh.mesh.control.results import PartedTables
 from mast_zenoh.mesh.waiting import DELAYED, HELD, WaitingItems
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.limits import NO_LIMITS, RowLimits, Shortened, Timespan, excess

@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.config.process_steps import LEAVING, ProcessStep
-from mast_zenoh.config.resolved import Resolved, build_node
+from mast_zenoh.config.resolved import LEAVING, ProcessStep, Resolved, build_node
 from mast_zenoh.errors import NodeDied, RunError, StartError
 from mast_zenoh.mesh.control.failures import Entry, described, lines, location, merged
-from mast_zenoh.mesh.control.tables import TablePart
+from mast_zenoh.mesh.control.results import TablePart
 from mast_zenoh.mesh.host import Host, Outgoing
 from mast_zenoh.mesh.outside_link import OutsideLink
-from mast_zenoh.mesh.protocol.timetable import Timetable
+from mast_zenoh.mesh.protocol.pacer import Timetable
 from mast_zenoh.messages import user_types
 from mast_zenoh.node import Source
 from mast_zenoh.wiring.model import Wiring

@@ -20,9 +20,8 @@ import msgspec
 
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MessageError
-from mast_zenoh.mesh.protocol.actions import Actions, Clocks
 from mast_zenoh.mesh.protocol.driver import protocol_of
-from mast_zenoh.mesh.protocol.events import AnyEvent
+from mast_zenoh.mesh.protocol.events import Actions, AnyEvent, Clocks
 from mast_zenoh.mesh.protocol.node import NodeProtocol
 from mast_zenoh.mesh.protocol.traffic import EventInbox, ProcessContext
 from mast_zenoh.node import Node

@@ -23,13 +23,13 @@ import zenoh
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import MessageError
 from mast_zenoh.mesh.control import files, prefix
+from mast_zenoh.mesh.control.codec import Signatures
 from mast_zenoh.mesh.control.key_marks import check_control_mark, control_mark
-from mast_zenoh.mesh.control.signatures import Signatures
 from mast_zenoh.mesh.host import OpenedOutside
 from mast_zenoh.mesh.outside_link import OutsideLink
 from mast_zenoh.mesh.protocol import events
-from mast_zenoh.mesh.protocol.actions import DOZE_S, DRAIN_TIMEOUT_S, OFFER_TIMEOUT_S, Actions, Clocks
 from mast_zenoh.mesh.protocol.driver import DriverProtocol, protocol_of
+from mast_zenoh.mesh.protocol.events import DOZE_S, DRAIN_TIMEOUT_S, OFFER_TIMEOUT_S, Actions, Clocks
 from mast_zenoh.mesh.protocol.node import HAND_IN_TIMEOUT_S
 from mast_zenoh.mesh.protocol.traffic import EventInbox, Item, ProcessContext, stamp_of
 from mast_zenoh.mesh.protocol_log import logged_protocol

@@ -2,20 +2,19 @@
 
     estimates   the estimates of a run: their keys and names
     record      truth and estimates of a run (mast_zenoh.evaluation runs the complete evaluation)
-    boxes       boxes and positions of many frames: pairs, neighbours, overlap, look-up of rows
-    assignment  matching of tracks and truth objects; OSPA, GOSPA
-    scoring     counts per agent, estimator and frame
+    assignment  matching of tracks and truth objects; OSPA, GOSPA; boxes and positions of many frames: pairs,
+                neighbours, overlap, look-up of rows
+    scoring     counts per agent, estimator and frame; one estimate of one agent, as metrics of users get it
     scores      matched pairs, tables, and the summary in metrics.json
     consistency whether estimates are as accurate as their covariances say
     ranking     AMOTA: accuracy over recall, for tracks ranked by their scores
-    manipulations    manipulated objects, and the estimates that they can influence
     causes, attributor
-                the cause of every false and every missed object of every estimate
+                the cause of every false and every missed object of every estimate; manipulated objects, and
+                the estimates that they can influence
     cut_off     objects known only to disconnected agents
     achievement results of each adversary
     driving     effects of errors on driving
     trust       the command centre's trust compared with the agents' conduct; ROC curves
-    judged_estimate  one estimate of one agent, as metrics of users get it
     measures    every metric as a class: key, words, unit, range, and what it computes
     increments  errors added by an attack
     study_results    the results of studies, as reports show them
@@ -24,22 +23,34 @@ See docs/metrics.md.
 """
 
 from mast_zenoh.arrays.boxes import Boxes
-from mast_zenoh.metrics.assignment import Assigner, CenterDistanceAssigner, IoU3DGreedyAssigner, SetDistance
+from mast_zenoh.metrics.assignment import (
+    Assigner,
+    CenterDistanceAssigner,
+    IoU3DGreedyAssigner,
+    SetDistance,
+    birdseye_intersection,
+    iou_3d,
+)
 from mast_zenoh.metrics.attributor import AttributionLimits, Attributor
-from mast_zenoh.metrics.boxes import birdseye_intersection, iou_3d
-from mast_zenoh.metrics.causes import ATTACK_CAUSES, CAUSES, DEFENCE_CAUSES, FAULT_CAUSES, cause_names, causes_of
+from mast_zenoh.metrics.causes import (
+    ATTACK_CAUSES,
+    CAUSES,
+    DEFENCE_CAUSES,
+    FAULT_CAUSES,
+    Manipulations,
+    cause_names,
+    causes_of,
+)
 from mast_zenoh.metrics.consistency import Consistency
 from mast_zenoh.metrics.cut_off import CutOff, CutOffObjects, Presence
 from mast_zenoh.metrics.driving import Driving
 from mast_zenoh.metrics.estimates import ESTIMATORS
 from mast_zenoh.metrics.increments import increments
-from mast_zenoh.metrics.judged_estimate import Estimate
-from mast_zenoh.metrics.manipulations import Manipulations
 from mast_zenoh.metrics.measures import FrameMetric, MessageMetric, Metric, RunMetric
 from mast_zenoh.metrics.named_metrics import ErrorsNearby, LongestMiss
 from mast_zenoh.metrics.record import Record, Series
 from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table
-from mast_zenoh.metrics.scoring import Scorer
+from mast_zenoh.metrics.scoring import Estimate, Scorer
 
 __all__ = [
     "ATTACK_CAUSES",

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.boxes import Places, find, nearest
-from mast_zenoh.metrics.causes import CauseLabels
+from mast_zenoh.metrics.assignment import Places, find, nearest
+from mast_zenoh.metrics.causes import ALTERED, INSERTED, KINDS, MOVED, REMOVED, CauseLabels, Manipulations
 from mast_zenoh.metrics.estimates import MISSION, PICTURE
-from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, KINDS, MOVED, REMOVED, Manipulations
 from mast_zenoh.metrics.scores import MATCHED, MISSED, UNEVALUATED, Scores, Table, Texts
 
 #: m, maximum distance between an inserted object and its false track, as in `AttributionLimits.lie_m`.

@@ -10,25 +10,28 @@ from typing import NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.boxes import Places, find, latest, nearest, occurs
+from mast_zenoh.metrics.assignment import Places, find, latest, nearest, occurs
 from mast_zenoh.metrics.causes import (
+    ALTERED,
     CLUTTER,
     DUPLICATE,
     FAULT,
     FUSION,
+    INSERTED,
     LAG,
+    MOVED,
     SIGHT,
     TRACKING,
     UNKNOWN,
     WITHHELD,
     CauseLabels,
     Hidden,
+    Manipulations,
     claimed_positions,
     joined_names,
 )
 from mast_zenoh.metrics.cut_off import CutOffObjects
 from mast_zenoh.metrics.estimates import LOCAL, RECEIVED
-from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, Manipulations
 from mast_zenoh.metrics.scores import FALSE, MATCHED, MISSED, UNEVALUATED, Scores, Texts
 from mast_zenoh.metrics.trust import TrustHistory, TrustUpdate, lasting
 

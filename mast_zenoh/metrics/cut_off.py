@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools, Ints
-from mast_zenoh.metrics.boxes import find, occurs
+from mast_zenoh.metrics.assignment import find, occurs
 from mast_zenoh.metrics.estimates import LOCAL
 from mast_zenoh.metrics.scores import MATCHED, Scores
 

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.boxes import overlapping
 from mast_zenoh.arrays.geometry import distance_along
-from mast_zenoh.arrays.rectangles import overlapping
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
-from mast_zenoh.metrics.boxes import find
+from mast_zenoh.metrics.assignment import find
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, CauseLabels
 from mast_zenoh.metrics.estimates import LOCAL, MISSION
 from mast_zenoh.metrics.record import Record, Series, TruthTable

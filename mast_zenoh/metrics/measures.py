@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats
-from mast_zenoh.metrics.judged_estimate import Estimate
 from mast_zenoh.metrics.ranking import rankings
 from mast_zenoh.metrics.scores import FrameScores, Scores, Table, mean_and_std, means_and_stds
+from mast_zenoh.metrics.scoring import Estimate
 
 
 @dataclass(eq=False)

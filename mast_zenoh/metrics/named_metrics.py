@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.metrics.judged_estimate import Estimate
 from mast_zenoh.metrics.measures import FrameMetric, RunMetric
+from mast_zenoh.metrics.scoring import Estimate
 
 
 class ErrorsNearby(FrameMetric):

@@ -10,8 +10,7 @@ import numpy as np
 
 from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.assignment import SetDistance
-from mast_zenoh.metrics.boxes import centre_distance
+from mast_zenoh.metrics.assignment import SetDistance, centre_distance
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.scores import FALSE, MISSED, Scores, mean_and_std
 

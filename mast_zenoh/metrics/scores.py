@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.boxes import centre_distance, iou_3d
+from mast_zenoh.metrics.assignment import centre_distance, iou_3d
 from mast_zenoh.metrics.estimates import rank_of
 from mast_zenoh.metrics.record import TrackTable, TruthTable
 
@@ -35,7 +35,7 @@ class MatchedPairs(NamedTuple):
     group: (n,) series · n_frames + frame, rows of `Scores.series` and `Scores.frames`, ascending
     truth_box, track_box: (n,) numbers of the truth objects, and of the tracks, among those of all series
     truth_rows, track_rows: the row of each of these in the tables `truth` and `tracks`
-    dimensions: of the distance of a pair, see `boxes.centre_distance`
+    dimensions: of the distance of a pair, see `assignment.centre_distance`
     """
 
     group: Ints

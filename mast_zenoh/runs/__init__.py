@@ -5,7 +5,7 @@ files        the documents and tables in its folder, each read when it is asked 
 frame        one frame of a run, and its objects, outcomes, scores and manipulations
 evaluated    what the evaluator says about frames: outcomes, scores, changes
 recorded     the frames of a finished run, from its recording
-messages     recorded messages, decoded, and their states of objects as tables;  agent  those of one agent
+messages     recorded messages, decoded, and their states of objects as tables
 observability  which lies of a run an honest agent could have noticed
 live/        a passive observer of a running run, whose frames are the same
 routes       the estimate that is on each key of a wiring

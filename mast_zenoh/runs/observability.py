@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.metrics.boxes import Places, nearest
+from mast_zenoh.metrics.assignment import Places, nearest
 from mast_zenoh.metrics.estimates import LOCAL
 from mast_zenoh.metrics.trust import detection_delay
 from mast_zenoh.run_folder.tables import from_arrow, to_arrow

@@ -15,7 +15,7 @@ from mast_zenoh.driving import CarLimits
 from mast_zenoh.driving.driver import ESTIMATE_AGE_S
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes import Recording, Scene
-from mast_zenoh.scenes.stepped import check_cars
+from mast_zenoh.scenes.base import check_cars
 
 #: The map of the wires of drivers; added where a scenario has drivers.
 MAP = "driving.toml"

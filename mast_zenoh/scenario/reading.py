@@ -11,7 +11,7 @@ from typing import Any
 from mast_zenoh import scenes
 from mast_zenoh.config import loading, plugins, registry
 from mast_zenoh.config.outside_meshes import outside_meshes
-from mast_zenoh.config.scene_names import parse_scene
+from mast_zenoh.config.registry import parse_scene
 from mast_zenoh.config.settings import ALIASES, KEYS, LISTS, from_values, set_dotted, split
 from mast_zenoh.errors import ConfigurationError, MastError, nearest
 from mast_zenoh.scenes.agents import best_pattern

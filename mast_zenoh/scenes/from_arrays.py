@@ -12,9 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import SceneError, nearest
-from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble, direction_of_motion, fill_velocity
+from mast_zenoh.scenes.making.assembly import (
+    AgentPath,
+    SceneBoxes,
+    assemble,
+    direction_of_motion,
+    fill_velocity,
+    pole,
+    vehicle,
+)
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent
-from mast_zenoh.scenes.making.virtual_agents import pole, vehicle
 from mast_zenoh.scenes.recording import Recording, check_times
 from mast_zenoh.sensing import DetectionModel, Detector
 

@@ -7,7 +7,7 @@ run_figure         the base class of figures of a run, those of users included
 figures/           the pictures and charts of runs and of studies
 film/              films and stills of runs
 tables/            rows and cells, for every output
-findings/          what is worth saying of a run, as data, and the words;  narrative/  results of studies in words
+findings/          what is worth saying of a run, as data, and the words, of studies too
 html               the pages, rendered from templates/;  page/  the part that plays runs in a browser
 terminal           results on the terminal
 export/            files of runs for other programs, by formats

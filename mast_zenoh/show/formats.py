@@ -29,7 +29,7 @@ FORMATS: Mapping[str, Format] = {
     "kitti": Format("kitti.write"),
     "mot": Format("mot.write"),
     "foxglove": Format("foxglove.write", "foxglove"),
-    "rosbag2": Format("mast_ros2.rosbag2.write", plugin=plugins.ROS2_PLUGIN),
+    "rosbag2": Format("mast_ros2.run_messages.write", plugin=plugins.ROS2_PLUGIN),
     "rrd": Format("rrd.write", "rerun"),
     "pcap": Format("pcap.write"),
 }

@@ -26,13 +26,12 @@ from mast_zenoh.show.comparison import Reference
 from mast_zenoh.show.figures import of_run as figures_of_run
 from mast_zenoh.show.figures.drawing import RenderedFigure
 from mast_zenoh.show.figures.view import PANELS, check_frame, choose_common_frame, choose_frame, frame_view, settled
-from mast_zenoh.show.findings import found_in, of_compared
+from mast_zenoh.show.findings import found_in, of_compared, of_study
 from mast_zenoh.show.findings.adversaries import attacks
 from mast_zenoh.show.findings.cars import of_cars
 from mast_zenoh.show.findings.changes import largest_change
 from mast_zenoh.show.findings.results import unsound
 from mast_zenoh.show.findings.words import defence_line, said, text
-from mast_zenoh.show.narrative import study as narrative
 from mast_zenoh.show.page.block import run_block
 from mast_zenoh.show.page.page import ViewerParts, viewer_parts
 from mast_zenoh.show.run_figure import FigureContext
@@ -386,13 +385,13 @@ def write_trials_page(
     own_headline, own_reading: what comes before errors of estimates, such as what happened to driven cars; or empty.
                   Errors are then described above their tables
     """
-    rows, facts = narrative.titled(rows, facts)
-    comparisons = narrative.compare(rows, facts.baseline)
+    rows, facts = of_study.titled(rows, facts)
+    comparisons = of_study.compare(rows, facts.baseline)
     parts = sections(rows, facts.baseline, comparisons)
-    errors = narrative.result(rows, facts, comparisons)
+    errors = of_study.result(rows, facts, comparisons)
     # Errors of single kinds may be unclear where the study's own measure is clear.
-    named = not own_headline or (errors.startswith(narrative.NO_CHANGE) and not own_reading)
-    changes = [*[errors] * (not named), *narrative.other_changes(rows, facts, comparisons)]
+    named = not own_headline or (errors.startswith(of_study.NO_CHANGE) and not own_reading)
+    changes = [*[errors] * (not named), *of_study.other_changes(rows, facts, comparisons)]
     scores, title = side_by_side(rows), difference_title(rows, facts.baseline)
     content = {
         "title": f"Study {facts.name}",
@@ -401,14 +400,14 @@ def write_trials_page(
         "failures": facts.failures,
         "failed": facts.failed,
         "shown_at_once": _SHOWN_AT_ONCE,
-        "reservations": narrative.reservations(rows, facts),
+        "reservations": of_study.reservations(rows, facts),
         "reading": own_reading or changes,
         "errors": changes if own_reading else [],
         "figures": figures,
         "added": [each for each in parts if each.title.startswith(title)],
         "added_title": f"{title}: errors of estimates" if own_reading else title,
         "own_tables": tables,
-        "comparisons": narrative.comparisons_made(comparisons),
+        "comparisons": of_study.comparisons_made(comparisons),
         "scores": scores if scores.lines else None,
         "others": [each for each in parts if not each.title.startswith((title, "Scores"))],
         "configurations": [

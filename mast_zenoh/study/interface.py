@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 
 from mast_zenoh import run_folder, scenario
-from mast_zenoh.config.allowed_code import OWN_RUN
+from mast_zenoh.config.loading import OWN_RUN
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError, HandlerFailed, MastError
 from mast_zenoh.launch import run as launcher

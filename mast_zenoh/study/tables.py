@@ -163,7 +163,7 @@ class Samples:
         self._ego = ""
 
     def add(self, outcome: TrialOutcome, trial_numbers: Iterable[Number]) -> None:
-        """Add the numbers of a trial, `results.values`."""
+        """Add the numbers of a trial, `numbers.values`."""
         self._ego = agent = self._ego or ego(outcome.metrics)
         self._own |= outcome.metrics.get("own_metrics", {})
         trial = outcome.trial

@@ -6,8 +6,7 @@ samples     objects, detections and estimates of any number
 comparison  equal values, unchanged inputs
 algorithms  check_tracker, check_clusterer, check_fusion, check_pipeline, check_mission_estimator, check_integrity,
             check_attack, check_metric
-drivers     check_driver
-environment check_scene, check_detector, check_link_rule, check_fault
+environment check_scene, check_detector, check_link_rule, check_fault; check_driver
 scenarios   check_node, check_scenario
 simulation  a mesh without processes, in virtual time: whole runs, disturbed at random
 fixtures    for pytest: play
@@ -23,8 +22,7 @@ from mast_zenoh.testing.algorithms import (
     check_pipeline,
     check_tracker,
 )
-from mast_zenoh.testing.drivers import check_driver
-from mast_zenoh.testing.environment import check_detector, check_fault, check_link_rule, check_scene
+from mast_zenoh.testing.environment import check_detector, check_driver, check_fault, check_link_rule, check_scene
 from mast_zenoh.testing.scenarios import check_node, check_scenario
 
 __all__ = [

@@ -22,8 +22,8 @@ from mast_zenoh.fusion.pipelines import AgentPipeline, MissionEstimator, Pipelin
 from mast_zenoh.integrity import Assessment, Batch, Integrity, SweptView
 from mast_zenoh.integrity.base import problem_of
 from mast_zenoh.integrity.views import UNKNOWN_SPACE
-from mast_zenoh.metrics.judged_estimate import Estimate
 from mast_zenoh.metrics.measures import FrameMetric, RunMetric
+from mast_zenoh.metrics.scoring import Estimate
 from mast_zenoh.sensing import LidarSensor, to_sensor
 from mast_zenoh.testing import samples
 from mast_zenoh.testing.comparison import expect, expect_finite, expect_same, unchanged

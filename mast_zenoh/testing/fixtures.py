@@ -8,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from mast_zenoh.api import execution
-from mast_zenoh.api.execution import Scenario
-from mast_zenoh.api.runs import OpenedRun
+from mast_zenoh.api import runs
+from mast_zenoh.api.runs import OpenedRun, Scenario
 
 
 @pytest.fixture
@@ -19,11 +18,11 @@ def play(tmp_path: Path) -> Callable[..., OpenedRun]:
 
     Into a folder of the test; 20 frames by default.
     """
-    runs: list[OpenedRun] = []
+    done: list[OpenedRun] = []
 
     def played(scenario: Scenario, **options: Any) -> OpenedRun:
-        usual: dict[str, Any] = {"frames": 20, "out": tmp_path / f"run_{len(runs)}"}
-        runs.append(execution.run(scenario, **usual | options))
-        return runs[-1]
+        usual: dict[str, Any] = {"frames": 20, "out": tmp_path / f"run_{len(done)}"}
+        done.append(runs.run(scenario, **usual | options))
+        return done[-1]
 
     return played

@@ -6,7 +6,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections, Floats, ObjectStates
 from mast_zenoh.metrics.causes import CAUSES
-from mast_zenoh.metrics.judged_estimate import Estimate
+from mast_zenoh.metrics.scoring import Estimate
 
 #: Numbers of objects that a class must handle.
 COUNTS = (0, 1, 1000)

@@ -11,7 +11,7 @@ import numpy as np
 from mast_zenoh.arrays.matching import greedy_matching, min_cost_matching, neighbours, uncontested
 from mast_zenoh.arrays.states import Bools, Detections, Floats, Ints, ObjectStates, row_order
 from mast_zenoh.kernels import kernel
-from mast_zenoh.tracking.covariances import MAX_VARIANCE, MIN_VARIANCE
+from mast_zenoh.tracking.kalman import MAX_VARIANCE, MIN_VARIANCE
 from mast_zenoh.tracking.tracks import ODDS, XX, XY, YY, classes_of, known_class, planar
 
 

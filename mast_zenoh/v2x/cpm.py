@@ -4,7 +4,9 @@
     cpm.decode(cpm.encode(message))
 
 Positions of objects are relative to the reference position (see `perceived_objects`). What a message has besides, such
-as sensors, perception regions and map positions, is checked, and in its plain values (see `plain`).
+as sensors, perception regions and map positions, is checked, and in its plain values (see `asn1.uper.to_plain`).
+
+Field tables of the collective perception message: TS 103 324 v2.1.1, clause 7 and annex A.
 """
 
 from __future__ import annotations
@@ -15,16 +17,108 @@ import numpy as np
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x.asn1 import uper
-from mast_zenoh.v2x.asn1.codec_kernels import Values
-from mast_zenoh.v2x.asn1.cpm_fields import (
-    LAYOUT,
-    OriginatingVehicleContainer,
-    PerceivedObjectContainer,
-    WrappedCpmContainer,
+from mast_zenoh.v2x.asn1.asn1_types import BOOLEAN, Absent, Demanded, Integer, ListOf, Optional, Sequence, Wrapped
+from mast_zenoh.v2x.asn1.cdd import (
+    CardinalNumber1B,
+    CartesianAngle,
+    ConfidenceLevel,
+    DeltaTimeMilliSecondSigned,
+    Identifier1B,
+    Identifier2B,
+    ItsPduHeader,
+    MapReference,
+    MessageId,
+    MessageRateHz,
+    MessageSegmentationInfo,
+    OrdinalNumber1B,
+    PerceivedObject,
+    ReferencePosition,
+    SensorType,
+    SequenceOfIdentifier1B,
+    Shape,
+    StandardLength1B,
+    TimestampIts,
+    TrailerData,
+    VehicleWidth,
+    Wgs84Angle,
 )
-from mast_zenoh.v2x.asn1.layout import slot_of, width
+from mast_zenoh.v2x.asn1.layout import EncodingProgram, slot_of, width
+from mast_zenoh.v2x.asn1.uper import Values
 from mast_zenoh.v2x.perceived_objects import PerceivedObjects, from_rows, to_rows
 from mast_zenoh.v2x.reference_position import Position
+
+MessageRateRange = Sequence(messageRateMin=MessageRateHz, messageRateMax=MessageRateHz)
+ManagementContainer = Sequence(
+    referenceTime=TimestampIts,
+    referencePosition=ReferencePosition,
+    segmentationInfo=Optional(MessageSegmentationInfo),
+    messageRateRange=Optional(MessageRateRange),
+).extensible()
+TrailerDataSet = ListOf(
+    TrailerData.constrained(
+        frontOverhang=Absent(StandardLength1B), rearOverhang=Absent(StandardLength1B), trailerWidth=Absent(VehicleWidth)
+    ),
+    1,
+    8,
+    extensible=True,
+)
+OriginatingVehicleContainer = Sequence(
+    orientationAngle=Wgs84Angle,
+    pitchAngle=Optional(CartesianAngle),
+    rollAngle=Optional(CartesianAngle),
+    trailerDataSet=Optional(TrailerDataSet),
+).extensible()
+OriginatingRsuContainer = Sequence(mapReference=Optional(MapReference)).extensible()
+SensorInformation = Sequence(
+    sensorId=Identifier1B,
+    sensorType=SensorType,
+    perceptionRegionShape=Optional(Shape),
+    perceptionRegionConfidence=Optional(ConfidenceLevel),
+    shadowingApplies=BOOLEAN,
+).extensible()
+SensorInformationContainer = ListOf(SensorInformation, 1, 128, extensible=True)
+PerceivedObjectIds = ListOf(Identifier2B, 0, 255, extensible=True)
+PerceptionRegion = Sequence(
+    measurementDeltaTime=DeltaTimeMilliSecondSigned,
+    perceptionRegionConfidence=ConfidenceLevel,
+    perceptionRegionShape=Shape,
+    shadowingApplies=BOOLEAN,
+    sensorIdList=Optional(SequenceOfIdentifier1B),
+    numberOfPerceivedObjects=Optional(CardinalNumber1B),
+    perceivedObjectIds=Optional(PerceivedObjectIds),
+).extensible()
+PerceptionRegionContainer = ListOf(PerceptionRegion, 1, 256, extensible=True)
+_ObjectList = ListOf(PerceivedObject.constrained(objectId=Demanded(Identifier2B)), 0, 255, extensible=True)
+PerceivedObjectContainer = Sequence(
+    numberOfPerceivedObjects=CardinalNumber1B,
+    perceivedObjects=_ObjectList,
+).extensible()
+WrappedCpmContainer = Wrapped(
+    "containerId",
+    "containerData",
+    Integer(1, 16),
+    {
+        1: OriginatingVehicleContainer,
+        2: OriginatingRsuContainer,
+        3: SensorInformationContainer,
+        4: PerceptionRegionContainer,
+        5: PerceivedObjectContainer,
+    },
+)
+# The constraint that excludes two kinds of originating station ends the extensibility of the list (X.680, 50.11).
+ConstraintWrappedCpmContainers = ListOf(WrappedCpmContainer, 1, 8)
+CpmPayload = Sequence(
+    managementContainer=ManagementContainer,
+    cpmContainers=ConstraintWrappedCpmContainers,
+).extensible()
+CollectivePerceptionMessage = Sequence(
+    header=ItsPduHeader.constrained(protocolVersion=OrdinalNumber1B.only(2), messageId=MessageId.only(14)),
+    payload=CpmPayload,
+)
+
+#: The message as a program for the codec.
+LAYOUT = EncodingProgram("CPM", CollectivePerceptionMessage)
+
 
 #: Identifiers of containers.
 VEHICLE, RSU, OBJECTS = 1, 2, 5

@@ -2,6 +2,10 @@
 
 Axes: PerceivedObjects of TS 103 324 v2.1.1 has x to the east, y to the north and z up, from the message's reference
 position. Angles turn by the right-hand rule from the x-axis, as CartesianAngleValue says.
+
+Perception quality of objects, as messages of Collective Perception carry it: 0 to 15.
+
+There is no probability of existence in these messages; receivers see this number instead.
 """
 
 from __future__ import annotations
@@ -11,9 +15,10 @@ from typing import overload
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.v2x.asn1.cdd import ObjectClassWithConfidence, PerceivedObject
-from mast_zenoh.v2x.asn1.codec_kernels import Values
 from mast_zenoh.v2x.asn1.layout import slot_of, width
+from mast_zenoh.v2x.asn1.uper import Values
 
 #: In place of the value of an optional field that is absent.
 ABSENT = -(1 << 31)
@@ -179,3 +184,11 @@ def from_rows(values: Values, start: int, n: int) -> PerceivedObjects:
     classes = np.empty((len(owner), 5), np.int64)
     classes.T[:] = owner, kind, profile, subclass, out[:, _CONFIDENCE]
     return PerceivedObjects(table, classes)
+
+
+MAX_QUALITY = 15  #: of objectPerceptionQuality (TS 102 894-2 v2.2.1)
+
+
+def quality_of_score(score: Floats) -> Ints:
+    """(n,) quality, 0 to 15, of scores (n,) in [0, 1]."""
+    return np.rint(np.clip(score, 0.0, 1.0) * MAX_QUALITY).astype(np.int64)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Floats, Ints, ObjectStates
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x import cpm
-from mast_zenoh.v2x.asn1.codec_kernels import Values
+from mast_zenoh.v2x.asn1.uper import Values
 from mast_zenoh.v2x.cam import Cam, VehicleMotion
 from mast_zenoh.v2x.cpm import Cpm
 from mast_zenoh.v2x.perceived_objects import (
@@ -25,6 +25,7 @@ from mast_zenoh.v2x.perceived_objects import (
     ANIMAL,
     BICYCLIST,
     CARTESIAN,
+    MAX_QUALITY,
     MOTORCYCLIST,
     OTHER,
     PEDESTRIAN,
@@ -32,8 +33,8 @@ from mast_zenoh.v2x.perceived_objects import (
     VEHICLE,
     VRU,
     PerceivedObjects,
+    quality_of_score,
 )
-from mast_zenoh.v2x.quality import MAX_QUALITY, quality_of_score
 from mast_zenoh.v2x.reference_position import LocalPlane, Position, has_altitude
 
 #: Standard deviations in half a two-sided 95 % interval of a normal distribution.

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import ObjectStates, concatenate
 from mast_zenoh.attacks import Surroundings, UncoordinatedSelection
+from mast_zenoh.attacks.attack import SeizedCommands
 from mast_zenoh.attacks.campaign import TrajectoryPropagation
 from mast_zenoh.attacks.coordination import Coordinator
 from mast_zenoh.attacks.regions import path_ahead
-from mast_zenoh.attacks.seizure import SeizedCommands
 from mast_zenoh.attacks.selection import ConflictSelection
 from mast_zenoh.attacks.surroundings import Coverage, Route, touching
 from mast_zenoh.streams import stream

@@ -13,7 +13,7 @@ from pathlib import Path
 import mast_datasets
 import pytest
 
-from mast_zenoh.config import plugins, registry, scene_names
+from mast_zenoh.config import plugins, registry
 from mast_zenoh.mesh.control import failures
 from mast_zenoh.scenes import Scene
 from mast_zenoh.study import trial
@@ -302,8 +302,8 @@ def test_a_missing_plugin_is_named() -> None:
 
 def test_the_errors_know_all_data_sets() -> None:
     assert set(plugins.DATA_SETS) == set(mast_datasets.__all__)
-    known = {short: cls.__name__ for short, cls in scene_names.short_names().items() if plugins.plugin_of(cls)}
-    assert known == scene_names._DATA_SETS
+    known = {short: cls.__name__ for short, cls in registry.short_names().items() if plugins.plugin_of(cls)}
+    assert known == registry._DATA_SETS
 
 
 def test_plugins_are_imported_for_unknown_names_only() -> None:

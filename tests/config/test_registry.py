@@ -15,7 +15,7 @@ import pytest
 import mast_zenoh
 from mast_zenoh.attacks import Attack
 from mast_zenoh.config import registry
-from mast_zenoh.config.scene_names import parse_scene
+from mast_zenoh.config.registry import parse_scene
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.scenes import Intersection
 

@@ -20,7 +20,7 @@ from sound_controls import CODECS, DRIVEN, MEMBERS, OUTCOME, TAP, WIRING, packed
 from mast_zenoh import scenario, version
 from mast_zenoh.errors import MessageError, RunError
 from mast_zenoh.mesh.control import CONTROLS, failures, files, flow, results
-from mast_zenoh.mesh.control.tables import PartedTables, TablePart
+from mast_zenoh.mesh.control.results import PartedTables, TablePart
 from mast_zenoh.wiring.model import Wiring
 
 every_codec = pytest.mark.parametrize("name", CODECS)

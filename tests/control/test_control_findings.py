@@ -11,8 +11,7 @@ import msgpack
 import pytest
 from hosted import Hosted
 
-from mast_zenoh.config.process_steps import ProcessStep
-from mast_zenoh.config.resolved import NodeSpec, Resolved
+from mast_zenoh.config.resolved import NodeSpec, ProcessStep, Resolved
 from mast_zenoh.errors import ImplausibleCounts, ServiceDied
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.file_server import FileServer

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mast_zenoh.errors import CredentialsError, MessageError
 from mast_zenoh.mesh import hosting
 from mast_zenoh.mesh.control import CONTROLS
-from mast_zenoh.mesh.control.signatures import Signatures
+from mast_zenoh.mesh.control.codec import Signatures
 from mast_zenoh.mesh.security.control_keys import DRIVER, LAUNCHER, ControlKeys, make
 from mast_zenoh.mesh.security.credentials import CONTROL, Credentials
 from mast_zenoh.mesh.security.deployment import Deployment

@@ -11,8 +11,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.launch import conclusion
 from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.mesh.control import results
-from mast_zenoh.mesh.control.results import encode_part
-from mast_zenoh.mesh.control.tables import PART_BYTES, PART_ROWS, PartedTables, TablePart
+from mast_zenoh.mesh.control.results import PART_BYTES, PART_ROWS, PartedTables, TablePart, encode_part
 from mast_zenoh.run_folder.tables import TableFile, read_table
 
 ROWS = 2 * PART_ROWS + 17

@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from mast_zenoh.errors import BackendError
-from mast_zenoh.launch.netns import shaping
+from mast_zenoh.launch.netns import namespaces
 from mast_zenoh.launch.netns.namespaces import Namespace, own_prefix
 
 NAMES = ("alpha", "beta", "gamma")
@@ -26,7 +26,7 @@ def require() -> None:
     """Skip without namespaces or an SSH server; fail if MAST_TEST_NETWORK is set."""
     reason = "" if Path(SSHD).exists() else f"{SSHD} is missing: install openssh-server"
     try:
-        shaping.delays_by({"partition": ["this test"]})
+        namespaces.delays_by({"partition": ["this test"]})
     except BackendError as error:
         reason = str(error)
     if reason:

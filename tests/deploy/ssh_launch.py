@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh import scenario
-from mast_zenoh.config.process_steps import ProcessStep
-from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.config.resolved import ProcessStep, Resolved
 from mast_zenoh.deploy.ssh.engine import Ssh
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch import run as launcher

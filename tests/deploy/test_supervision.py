@@ -12,7 +12,7 @@ from launched import eventually
 from mast_zenoh.config.resolved import NodeSpec
 from mast_zenoh.deploy import documents
 from mast_zenoh.deploy.compose import Compose, Containers, connected_as
-from mast_zenoh.deploy.ssh.attachment import WardenAttachment
+from mast_zenoh.deploy.ssh.connection import WardenAttachment
 from mast_zenoh.deploy.ssh.engine import RemoteNodes
 from mast_zenoh.deploy.ssh.hostsfile import HostsFile, Router, SshHost
 from mast_zenoh.errors import EngineError

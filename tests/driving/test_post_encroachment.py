@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.driving.contact import post_encroachment_s
+from mast_zenoh.driving.consequences import post_encroachment_s
 from tests.driving.test_what_happened_to_cars import SIZE, car, objects, outline
 
 FRAMES, PERIOD_S = 24, 0.25

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh.arrays.states import ObjectStates
-from mast_zenoh.driving.veto import REFUTED_S, SAME_OBJECT_M, Refutations, overruled
+from mast_zenoh.driving.driver import REFUTED_S, SAME_OBJECT_M, Refutations, overruled
 
 
 def cars(*places: tuple[float, float]) -> ObjectStates:

@@ -10,11 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.driving.braking import Belief, Commands
-from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2
-from mast_zenoh.driving.consequences import DrivenCar, consequences, uncomfortable_s
-from mast_zenoh.driving.contact import collisions
+from mast_zenoh.driving.consequences import DrivenCar, collisions, consequences, uncomfortable_s
 from mast_zenoh.driving.corridor import in_corridor, needed_braking
-from mast_zenoh.driving.motion import RouteAhead
+from mast_zenoh.driving.motion import HARD_BRAKING_MPS2, RouteAhead
 from mast_zenoh.metrics.driving import Driving, RoadUsers, VehicleCourse
 
 SIZE = (4.5, 1.9)

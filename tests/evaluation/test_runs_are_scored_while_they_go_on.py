@@ -11,7 +11,7 @@ from played import play
 from mast_zenoh import scenario
 from mast_zenoh.evaluation import Evaluation, RunData, RunScoring, run_scoring
 from mast_zenoh.mesh.inproc import InProcess
-from mast_zenoh.metrics.manipulations import KINDS
+from mast_zenoh.metrics.causes import KINDS
 
 FRAMES = 240
 #: Means over blocks instead of the run; and what several blocks have of every series instead of the distinct ones.

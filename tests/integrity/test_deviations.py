@@ -7,7 +7,6 @@ import pytest
 from integrity_batches import Track, batch
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.integrity.agent_fault import displacements
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
 from mast_zenoh.integrity.deviations import (
     CLIP,
@@ -22,6 +21,7 @@ from mast_zenoh.integrity.deviations import (
     LastingDeviations,
     Means,
     deviations,
+    displacements,
 )
 from mast_zenoh.integrity.sequential import UNEXPLAINED
 

@@ -7,9 +7,8 @@ from integrity_batches import Track, batch, view
 
 from mast_zenoh.integrity import SequentialConsistency
 from mast_zenoh.integrity.base import Batch
-from mast_zenoh.integrity.disputes import Evidence
+from mast_zenoh.integrity.disputes import Evidence, Explanations
 from mast_zenoh.integrity.existence import ExistenceVotes
-from mast_zenoh.integrity.explanations import Explanations
 from mast_zenoh.integrity.memory import AgentMemory, ObjectMemory
 
 AGENTS = tuple("abcde")

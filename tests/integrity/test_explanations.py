@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mast_zenoh.arrays.states import Bools
-from mast_zenoh.integrity.explanations import Explanations, explained
+from mast_zenoh.integrity.disputes import Explanations, explained
 
 Graph = tuple[Bools, set[int], set[int]]
 

@@ -6,8 +6,8 @@ from integrity_batches import CAR, STEP_NS, VARIANCE
 
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.integrity import Batch, FaultOrLie, NoIntegrity
-from mast_zenoh.integrity.agent_fault import without_fault
 from mast_zenoh.integrity.base import FAULTY, SUSPENDED
+from mast_zenoh.integrity.deviations import without_fault
 
 AGENTS = ("a", "b", "c", "d")
 

@@ -11,9 +11,8 @@ from mast_zenoh.config import registry
 from mast_zenoh.fusion.pipelines import Pipeline
 from mast_zenoh.integrity import FaultOrLie, FreeSpace, SequentialConsistency, TruthDiscovery
 from mast_zenoh.integrity.base import SUSPENDED, Batch, Integrity
-from mast_zenoh.integrity.disputes import Evidence
+from mast_zenoh.integrity.disputes import Evidence, Explanations
 from mast_zenoh.integrity.existence import ExistenceVotes
-from mast_zenoh.integrity.explanations import Explanations
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.relative_faults import MAX_NEAR, MAX_TRACKS, Differences
 from mast_zenoh.integrity.views import MAX_CELLS, check_view, collated_columns, view_columns

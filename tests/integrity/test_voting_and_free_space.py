@@ -10,7 +10,7 @@ from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.fusion.pipelines import FreeSpaceVeto, MissionEstimator, PictureFirst
 from mast_zenoh.integrity import Batch, FreeSpace, Integrity, KOfN, SweptView
 from mast_zenoh.integrity.base import ClusterBoxes
-from mast_zenoh.integrity.reputation import BetaReputation
+from mast_zenoh.integrity.memory import BetaReputation
 from mast_zenoh.integrity.visibility import seen_through
 
 AGENTS = ("a", "b", "c", "d")

@@ -39,7 +39,8 @@ from mast_zenoh.sensing import LidarSensor, Walls, lidar_points
 from mast_zenoh.sensing.raycast import PlacedSensor
 from mast_zenoh.tracking import SensorView, association, classes, tracks
 from mast_zenoh.tracking.existence import STAGES_S
-from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields, uper
+from mast_zenoh.v2x import cam, cpm
+from mast_zenoh.v2x.asn1 import uper
 
 for package in ("tracking", "fusion", "fusion.pipelines", "metrics", "sensing", "attacks", "integrity"):
     for module in pkgutil.iter_modules([str(Path(mast_zenoh.__file__).parent / package.replace(".", "/"))]):
@@ -360,7 +361,7 @@ def buildings(random, m):
 
 def v2x_message(random):
     """The layout of a CPM or CAM, and flat values of one."""
-    layout = random.choice([cpm_fields.LAYOUT, cam_fields.LAYOUT])
+    layout = random.choice([cpm.LAYOUT, cam.LAYOUT])
     maker = MessageMaker(random, random.choice([0.1, 0.5, 0.9]), beyond=True)
     return layout, from_plain(layout, maker.draw(layout.type))
 

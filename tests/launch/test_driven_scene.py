@@ -17,7 +17,7 @@ from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes import Recording
 from mast_zenoh.show import comparison
-from mast_zenoh.show.page.live_view import LiveBlocks
+from mast_zenoh.show.page.live_server import LiveBlocks
 
 ATTACK = ("attack=GhostAhead", "wire=detections", "attack_start_s=0.6")
 

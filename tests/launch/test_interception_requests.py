@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tiny_world import tiny
 
 from mast_zenoh.config import bundle
-from mast_zenoh.config.allowed_code import SHIPPED
+from mast_zenoh.config.loading import SHIPPED
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.config.settings import nested
 from mast_zenoh.errors import ConfigurationError, MastError, MessageError, NodeFileError, NotRunning, WiringError

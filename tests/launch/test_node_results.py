@@ -17,8 +17,7 @@ from mast_zenoh.errors import RunFolderError
 from mast_zenoh.launch import conclusion, run
 from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.mesh.control import results
-from mast_zenoh.mesh.control.results import collations, late
-from mast_zenoh.mesh.control.tables import PartedTables, TablePart
+from mast_zenoh.mesh.control.results import PartedTables, TablePart, collations, late
 from mast_zenoh.run_folder import read_json
 from mast_zenoh.run_folder.tables import read_arrow, read_table
 from mast_zenoh.wiring.model import Branch, Endpoint, Leg, Traits, Wire, Wiring

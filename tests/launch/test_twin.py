@@ -10,7 +10,7 @@ import pytest
 from equal_runs import run_alone
 
 from mast_zenoh import version
-from mast_zenoh.config.allowed_code import OWN_RUN
+from mast_zenoh.config.loading import OWN_RUN
 from mast_zenoh.errors import NotComparable
 from mast_zenoh.launch import twin
 

@@ -12,14 +12,14 @@ from tempfile import gettempdir
 import pytest
 
 from mast_zenoh.errors import BackendError
-from mast_zenoh.launch.netns import shaping
+from mast_zenoh.launch.netns import namespaces
 from mast_zenoh.launch.netns.namespaces import NAMESPACES
 
 
 def require(*needs: str) -> None:
     """Skip the test, or fail if MAST_TEST_NETWORK is set, unless all needs are met."""
     try:
-        shaping.delays_by({need: ["this test"] for need in needs})
+        namespaces.delays_by({need: ["this test"] for need in needs})
     except BackendError as error:
         if os.environ.get("MAST_TEST_NETWORK"):
             raise

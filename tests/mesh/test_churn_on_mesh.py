@@ -60,7 +60,7 @@ def launch(start: Callable[..., Launched]) -> Callable[..., Launched]:
         "from dataclasses import replace\n"
         "from pathlib import Path\n"
         "from mast_zenoh import scenario\n"
-        "from mast_zenoh.config.process_steps import ProcessStep\n"
+        "from mast_zenoh.config.resolved import ProcessStep\n"
         "from mast_zenoh.launch import run as launcher\n"
         "path, loaded = scenario.load('baseline', ['n_infrastructure=2'])\n"
         "found = scenario.resolve(path, loaded, mode='realtime', rate=1.0, record=True)\n"

@@ -17,7 +17,7 @@ from mast_zenoh import scenario
 from mast_zenoh.errors import BackendError
 from mast_zenoh.faults import network
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.launch.netns import shaping
+from mast_zenoh.launch.netns import namespaces
 from mast_zenoh.launch.netns.hosts import CENTRE, Hosts
 from mast_zenoh.launch.netns.namespaces import NAMESPACES, own_prefix, sweep
 from mast_zenoh.mesh.session import open_client, open_router
@@ -155,7 +155,7 @@ def test_remnants_of_a_killed_launcher_are_removed_at_the_next_start(tmp_path: P
 def missing_capability(need: str) -> str | None:
     """Why this machine lacks a capability; None if it has it."""
     try:
-        shaping.delays_by({need: ["west"]})
+        namespaces.delays_by({need: ["west"]})
     except BackendError as error:
         return str(error)
     return None
@@ -170,7 +170,7 @@ def test_missing_tools_are_named_with_their_purpose_and_package(tmp_path, monkey
     assert missing_capability("partition") == (
         "partition of west: nft is missing: install nftables, and a kernel with nf_tables"
     )
-    monkeypatch.setattr(shaping, "_TUN", str(tmp_path / "tun"))
+    monkeypatch.setattr(namespaces, "_TUN", str(tmp_path / "tun"))
     assert f"relay of west: {tmp_path}/tun is missing: load the kernel module tun" in str(missing_capability("relay"))
     (tmp_path / "bin" / "tc").unlink()
     assert str(missing_capability("bandwidth")).startswith("bandwidth of west: tc is missing: install iproute2")

@@ -8,7 +8,7 @@ import pytest
 from mast_zenoh import scenario
 from mast_zenoh.errors import NodeDied
 from mast_zenoh.launch import launcher_protocol, run
-from mast_zenoh.mesh.control.tables import PART_ROWS
+from mast_zenoh.mesh.control.results import PART_ROWS
 from mast_zenoh.run_folder import read_json
 from mast_zenoh.run_folder.tables import read_table
 

@@ -16,7 +16,6 @@ from mast_zenoh.messages import codec
 from mast_zenoh.messages.packed import MAX_SEGMENT_BYTES, MOST_OBJECTS, Packed, codec_of, pack, unpack
 from mast_zenoh.messages.schemas import Header, Message
 from mast_zenoh.v2x import Vehicle, cam, cpm
-from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields
 from mast_zenoh.v2x.tracks import orientation_of, rotation_of
 
 HEADER = Header("tracks", "infra_1", 3, 300_000_000, 3)
@@ -112,7 +111,7 @@ def test_positions_in_the_bytes_are_east_and_north_of_the_sender_wherever_it_hea
 @pytest.mark.parametrize(("yaw", "orientation"), [(None, None), (0.0, 900), (np.pi / 2, 0), (-np.pi / 2, 1800)])
 def test_asn1tools_reads_the_container_of_a_vehicle_or_of_a_roadside_unit(yaw, orientation) -> None:
     (segment,) = packed(message(5, yaw=yaw)).segments
-    content = asn1_oracle.decode("CPM", cpm_fields.LAYOUT.type, segment)["payload"]["cpmContainers"][0]
+    content = asn1_oracle.decode("CPM", cpm.LAYOUT.type, segment)["payload"]["cpmContainers"][0]
     if orientation is None:
         assert content["containerId"] == 2
         assert content["containerData"] == {}
@@ -211,7 +210,7 @@ def test_asn1tools_reads_what_a_vehicle_says_of_itself() -> None:
     states = vehicle.state(np.array([10.0, 20.0, 0.0]), np.array([0.0, -12.0, 0.0]), -np.pi / 2)
     still = {"origin": np.zeros(3), "rotation": np.array([1.0, 0.0, 0.0, 0.0])}
     (segment,) = packed(codec.conform(HEADER, states.columns() | still), "cam").segments
-    plain = asn1_oracle.decode("CAM", cam_fields.LAYOUT.type, segment)
+    plain = asn1_oracle.decode("CAM", cam.LAYOUT.type, segment)
     assert plain["header"] == {"protocolVersion": 2, "messageId": 2, "stationId": zlib.crc32(b"infra_1")}
     assert plain["cam"]["generationDeltaTime"] == 300
     parameters = plain["cam"]["camParameters"]

@@ -17,7 +17,7 @@ from mast_zenoh.metrics import (
     birdseye_intersection,
     iou_3d,
 )
-from mast_zenoh.metrics.boxes import find, occurs, pairs_within
+from mast_zenoh.metrics.assignment import find, occurs, pairs_within
 
 
 def scattered(n: int, rng: np.random.Generator, spread: float, group=0) -> Boxes:

@@ -8,8 +8,8 @@ import pytest
 
 from mast_zenoh.faults.network import LinkState
 from mast_zenoh.launch.netns import relay
+from mast_zenoh.launch.netns.namespaces import bandwidth, netem, rules
 from mast_zenoh.launch.netns.relay import Direction
-from mast_zenoh.launch.netns.shaping import bandwidth, netem, rules
 
 
 def test_new_rules_replace_old_ones_on_the_input_hook() -> None:

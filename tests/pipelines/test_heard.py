@@ -3,8 +3,8 @@
 import numpy as np
 
 from mast_zenoh.arrays.states import ObjectStates
+from mast_zenoh.fusion.pipelines.collation import Origins
 from mast_zenoh.fusion.pipelines.heard import HeardTracks
-from mast_zenoh.fusion.pipelines.origins import Origins
 
 PERIOD_NS = 100_000_000
 

@@ -12,8 +12,8 @@ from matplotlib.patches import Rectangle
 
 from mast_zenoh.metrics.study_results import BINOMIAL, Statistic
 from mast_zenoh.show.figures import facets
+from mast_zenoh.show.figures.plots import LOG_ODDS, draw_agent, legend, trust_figure
 from mast_zenoh.show.figures.style import Figure
-from mast_zenoh.show.figures.trust import LOG_ODDS, draw_agent, legend, trust_figure
 from mast_zenoh.show.palette import ADVERSARY_ON_LIGHT
 from mast_zenoh.study.defences.matrix_figures import figures_of_defences
 

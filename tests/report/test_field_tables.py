@@ -10,7 +10,7 @@ from kept_texts import assert_kept
 
 from mast_zenoh.show.compare import as_text
 from mast_zenoh.study.defences.matrix_tables import FIELD_MEASURES, matrix_tables
-from mast_zenoh.study.defences.published import published_tables
+from mast_zenoh.study.defences.scoreboard import published_tables
 
 
 @pytest.mark.parametrize("idle", [False, True])

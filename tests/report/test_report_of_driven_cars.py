@@ -20,8 +20,8 @@ from mast_zenoh.runs.run import Run
 from mast_zenoh.show.comparison import Reference
 from mast_zenoh.show.figures.driven import driven_figure
 from mast_zenoh.show.figures.style import THEMES
-from mast_zenoh.show.figures.window import Window
-from mast_zenoh.show.film.panels import DriveMarks
+from mast_zenoh.show.figures.view import Window
+from mast_zenoh.show.film.sheet import DriveMarks
 from mast_zenoh.show.film.takes import Captions, Take
 from mast_zenoh.show.findings.cars import of_cars
 from mast_zenoh.show.findings.words import said

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from mast_zenoh.metrics.estimates import MAIN
 from mast_zenoh.metrics.measures import metric_named
-from mast_zenoh.run_folder.shapes import check_file
+from mast_zenoh.run_folder.files import check_file
 from mast_zenoh.show.tables.scores import OVER_ALONE, ScoreTable, score_table
 from mast_zenoh.show.terminal import show
 

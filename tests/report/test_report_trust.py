@@ -28,8 +28,8 @@ from mast_zenoh.runs.events import (
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show import terminal
 from mast_zenoh.show.figures.drawing import birdseye_figure
+from mast_zenoh.show.figures.plots import trust_over_time
 from mast_zenoh.show.figures.style import png
-from mast_zenoh.show.figures.trust import trust_over_time
 from mast_zenoh.show.figures.view import frame_view
 from mast_zenoh.show.film import takes
 from mast_zenoh.show.film.takes import Take

@@ -11,8 +11,7 @@ import pytest
 from mast_zenoh.runs.files import RunFiles
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.figures.drawing import birdseye_figure, camera_figure
-from mast_zenoh.show.figures.view import choose_common_frame, choose_frame, frame_view
-from mast_zenoh.show.figures.window import window_of
+from mast_zenoh.show.figures.view import choose_common_frame, choose_frame, frame_view, window_of
 
 
 def a_run(

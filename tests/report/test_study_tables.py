@@ -12,9 +12,8 @@ from kept_texts import assert_kept, printed
 from scipy.stats import binomtest
 from study_samples import BASELINE, estimate, facts, grid, row
 
-from mast_zenoh.metrics.significance import holm
-from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Statistic, StudyRow, StudySeries, shares
-from mast_zenoh.show.narrative.study import compare, other_changes, reservations, result
+from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Statistic, StudyRow, StudySeries, holm, shares
+from mast_zenoh.show.findings.of_study import compare, other_changes, reservations, result
 from mast_zenoh.show.tables import study
 from mast_zenoh.show.tables.study_rows import over_trials
 from mast_zenoh.show.tables.text_table import TextTable

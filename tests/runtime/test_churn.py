@@ -6,11 +6,10 @@ from functools import cache
 import pytest
 from tiny_world import Run, tiny
 
-from mast_zenoh.config.process_steps import ProcessStep
-from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.config.resolved import ProcessStep, Resolved
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.mesh.inproc import InProcess
-from mast_zenoh.mesh.protocol.timetable import Timetable
+from mast_zenoh.mesh.protocol.pacer import Timetable
 
 FRAMES = 16
 EVERYONE = ("ego", "infra_1", "adversary_1", "broker", "command_center", "coordinator")

@@ -15,7 +15,7 @@ from tiny_world import tiny
 from mast_zenoh import scenario
 from mast_zenoh.attacks import UncoordinatedAttack
 from mast_zenoh.config import bundle
-from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.resolved import ProcessStep
 from mast_zenoh.errors import NodeDied, StartError
 from mast_zenoh.mesh.control import failures
 from mast_zenoh.mesh.host import Host

@@ -8,7 +8,7 @@ from fuzzing import Fuzzing
 
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.driving import Driver, FollowingDriver, ProposalDriver, Situation
-from mast_zenoh.driving.contact import collisions
+from mast_zenoh.driving.consequences import collisions
 from mast_zenoh.driving.proposals import OFFSETS_M
 from mast_zenoh.metrics.driving import RoadUsers, VehicleCourse
 from mast_zenoh.scenes import Intersection

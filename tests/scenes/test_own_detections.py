@@ -16,7 +16,7 @@ from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.config import registry
 from mast_zenoh.errors import MastError, SceneError
 from mast_zenoh.scenes import OwnDetections, Recording, RecordingFile, Scene, from_arrays
-from mast_zenoh.scenes.detection_tables import DetectionRows, read_kitti, write_detections
+from mast_zenoh.scenes.own_detections import DetectionRows, read_kitti, write_detections
 from mast_zenoh.sensing import DetectionModel
 
 FRAMES = 4

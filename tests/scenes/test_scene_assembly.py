@@ -7,8 +7,15 @@ import pytest
 
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import SceneAgent
-from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble, ground_level
-from mast_zenoh.scenes.making.virtual_agents import poles, vehicle, vehicles_throughout
+from mast_zenoh.scenes.making.assembly import (
+    AgentPath,
+    SceneBoxes,
+    assemble,
+    ground_level,
+    poles,
+    vehicle,
+    vehicles_throughout,
+)
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera, CleanDetector, LidarSensor
 

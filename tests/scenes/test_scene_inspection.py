@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 import mast_zenoh as mast
 from mast_zenoh.cli.app import app
-from mast_zenoh.config.scene_names import recognised
+from mast_zenoh.config.registry import recognised
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes import from_arrays, inspection
 from mast_zenoh.scenes.inspection import contents, problems

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mast_zenoh.config.scene_names import parse_scene
+from mast_zenoh.config.registry import parse_scene
 from mast_zenoh.errors import ConfigurationError
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mast_zenoh.sensing.error_memory import ViewErrors, WanderingNumbers
+from mast_zenoh.sensing.detection_model import ViewErrors, WanderingNumbers
 from mast_zenoh.streams import stream
 
 IDS = np.arange(2000)

@@ -7,7 +7,7 @@ import pytest
 from simulated_runs import CHURN, assert_equals_one_process, listening, resolve, schedule
 from small_worlds import small_world
 
-from mast_zenoh.config.process_steps import ProcessStep
+from mast_zenoh.config.resolved import ProcessStep
 from mast_zenoh.testing.simulation import SimulatedWorld, play
 
 SEEDS = range(0, 24, 2)

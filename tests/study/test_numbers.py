@@ -12,7 +12,7 @@ from synthetic_outcomes import FRAMES, outcome, study
 
 from mast_zenoh.metrics.study_results import StudyRow
 from mast_zenoh.run_folder.tables import to_arrow
-from mast_zenoh.show.narrative.study import compare
+from mast_zenoh.show.findings.of_study import compare
 from mast_zenoh.show.tables.study import sections
 from mast_zenoh.study.numbers import Number, numbers, values
 from mast_zenoh.study.store import TableWriter, table_writer

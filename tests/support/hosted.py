@@ -6,9 +6,9 @@ from typing import Any
 from unittest.mock import MagicMock
 
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.mesh.control.signatures import Signatures
-from mast_zenoh.mesh.protocol.actions import Actions, Clocks
+from mast_zenoh.mesh.control.codec import Signatures
 from mast_zenoh.mesh.protocol.driver import protocol_of
+from mast_zenoh.mesh.protocol.events import Actions, Clocks
 from mast_zenoh.mesh.protocol.traffic import EventInbox, Item, ProcessContext
 from mast_zenoh.node import Node
 from mast_zenoh.wiring.model import Wiring

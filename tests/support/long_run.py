@@ -12,8 +12,7 @@ from equal_runs import run_alone
 from pyarrow import parquet
 
 from mast_zenoh import run_folder
-from mast_zenoh.mesh.control.results import TABLES
-from mast_zenoh.mesh.control.tables import PartedTables, TablePart
+from mast_zenoh.mesh.control.results import TABLES, PartedTables, TablePart
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header
 from mast_zenoh.run_folder import read_json

@@ -1,4 +1,4 @@
-"""Flat values of a message from dicts and lists: the inverse of `v2x.asn1.plain`, which tests write messages with."""
+"""Flat values of a message from dicts and lists, for tests: the inverse of `v2x.asn1.uper.to_plain`."""
 
 from typing import Any
 
@@ -17,9 +17,8 @@ from mast_zenoh.v2x.asn1.asn1_types import (
     Type,
     Wrapped,
 )
-from mast_zenoh.v2x.asn1.codec_kernels import Values
 from mast_zenoh.v2x.asn1.layout import EncodingProgram, NodeKind, extension_slot, places, width
-from mast_zenoh.v2x.asn1.uper import unknown_name
+from mast_zenoh.v2x.asn1.uper import Values, unknown_name
 
 
 def from_plain(layout: EncodingProgram, plain: Any) -> Values:

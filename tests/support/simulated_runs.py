@@ -6,8 +6,7 @@ from itertools import count, islice
 from typing import Any, NamedTuple
 
 from mast_zenoh import scenario
-from mast_zenoh.config.process_steps import ProcessStep
-from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.config.resolved import ProcessStep, Resolved
 from mast_zenoh.mesh.control import results
 from mast_zenoh.mesh.control.interception import Intercept
 from mast_zenoh.mesh.host import Outgoing

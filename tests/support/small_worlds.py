@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.config.process_steps import ProcessStep
-from mast_zenoh.config.resolved import NodeSpec, Resolved
+from mast_zenoh.config.resolved import NodeSpec, ProcessStep, Resolved
 from mast_zenoh.mesh.control.interception import Intercept
 from mast_zenoh.node import Context, Node, Received, Source
 from mast_zenoh.testing.simulation import SimulatedWorld

@@ -1,4 +1,4 @@
-"""The codec of V2X messages in plain Python: the oracle of the compiled one, which `v2x.asn1.codec_kernels` declares.
+"""The codec of V2X messages in plain Python: the oracle of the compiled one, which `v2x.asn1.uper` declares.
 
 `v2x.asn1.layout` describes programs and flat values. The clauses cited here are those of X.691 (02/2021).
 """
@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 
 from mast_zenoh.v2x.asn1.asn1_types import LONGEST
-from mast_zenoh.v2x.asn1.codec_kernels import CodecFault, Refusal, Values
 from mast_zenoh.v2x.asn1.layout import NodeKind, Op
+from mast_zenoh.v2x.asn1.uper import CodecFault, Refusal, Values
 
 
 def decode_values(program: Values, data: bytes) -> tuple[Values | None, Refusal | None]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mast_zenoh import attacks, driving, fusion, integrity, metrics, tracking, v2x
-from mast_zenoh.attacks import coordination, disputes, evasion, regions, road_ahead, seizure
+from mast_zenoh.attacks import attack, coordination, disputes, evasion, regions, road_ahead
 from mast_zenoh.attacks.attack import CoordinatedAttack
 from mast_zenoh.attacks.flood import MAX_ROWS, Flood
 from mast_zenoh.attacks.real_objects import SlowDrift
@@ -36,7 +36,7 @@ REFUSED: dict[Any, dict[str, list[Any]]] = {
     road_ahead.CutIn: dict(change_s=[0.0], side=["lef"]),
     road_ahead.HideAhead: dict(horizon_s=[-1.0], what=["crosing"]),
     road_ahead.LaneIntrusion: dict(into=["egg"], rate_mps=[0.0]),
-    seizure.SeizedCommands: dict(start_s=[-1.0], end_s=[nan, -1.0], acceleration=[inf]),
+    attack.SeizedCommands: dict(start_s=[-1.0], end_s=[nan, -1.0], acceleration=[inf]),
     SlowDrift: dict(budget=NOT_POSITIVE),
     disputes.PairedDenial: dict(witnesses=[-1], budget=[0.0], tolerance=[2.0]),
     evasion.PosePert: dict(offset_m=[0.0, 1.0, -0.5, nan], direction=["sideway"]),

@@ -12,7 +12,7 @@ from scipy.optimize import linear_sum_assignment
 
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Detections, Floats, Ints
-from mast_zenoh.metrics.boxes import Boxes, iou_3d
+from mast_zenoh.metrics.assignment import Boxes, iou_3d
 
 # State: x y z yaw l w h, and the change of x y z per frame.
 TRANSITION = np.eye(10)

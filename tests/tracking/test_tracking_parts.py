@@ -13,8 +13,7 @@ from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.tracking import BipartiteAssignment, GreedyAssignment, SensorView
 from mast_zenoh.tracking.box_tracker import FilterpyFilter
 from mast_zenoh.tracking.classes import first_covariance
-from mast_zenoh.tracking.covariances import inverse, make_positive_definite
-from mast_zenoh.tracking.kalman import BatchedFilter, process_noise
+from mast_zenoh.tracking.kalman import BatchedFilter, inverse, make_positive_definite, process_noise
 from mast_zenoh.tracking.tracks import CLASS, COVARIANCE, MEAN, ONE_OBJECT, covariances, empty, overlap
 
 # -- assignment

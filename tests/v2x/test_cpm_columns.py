@@ -11,11 +11,11 @@ from v2x_messages import MessageMaker
 
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x import cam, cpm
-from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields, uper
+from mast_zenoh.v2x.asn1 import uper
 from mast_zenoh.v2x.asn1.asn1_types import Optional
 from mast_zenoh.v2x.asn1.cdd import PerceivedObject
 from mast_zenoh.v2x.asn1.layout import slot_of
-from mast_zenoh.v2x.asn1.plain import to_plain
+from mast_zenoh.v2x.asn1.uper import to_plain
 from mast_zenoh.v2x.perceived_objects import ABSENT, CARTESIAN, OTHER, PEDESTRIAN, VEHICLE, VRU, PerceivedObjects
 from mast_zenoh.v2x.reference_position import Position
 
@@ -36,7 +36,7 @@ def message(**fields) -> cpm.Cpm:
 
 def test_columns_have_the_fields_of_the_standard():
     values = cpm.to_values(message(objects=two_objects()))
-    (container,) = to_plain(cpm_fields.LAYOUT, values)["payload"]["cpmContainers"]
+    (container,) = to_plain(cpm.LAYOUT, values)["payload"]["cpmContainers"]
     car, pedestrian = container["containerData"]["perceivedObjects"]
     assert pedestrian == {
         "objectId": 65535,
@@ -99,7 +99,7 @@ def remove_other_classes(plain: dict) -> None:
 
 @given(st.integers(0, 2**32), st.sampled_from([0.1, 0.5, 0.9]), st.booleans())
 def test_columns_hold_their_fields_of_any_message(seed, presence, beyond):
-    layout, random = cpm_fields.LAYOUT, np.random.default_rng(seed)
+    layout, random = cpm.LAYOUT, np.random.default_rng(seed)
     plain = MessageMaker(random, presence, beyond).draw(layout.type)
     remove_other_classes(plain)
     ids = [container["containerId"] for container in plain["payload"]["cpmContainers"]]
@@ -149,7 +149,7 @@ MESSAGE = cam.Cam(4711, 12345, 5, Position(520_000_000, 94_000_000))
 
 @given(st.integers(0, 2**32), st.sampled_from([0.0, 0.1, 0.5]), st.booleans())
 def test_a_cam_holds_its_fields_of_any_message(seed, presence, beyond):
-    layout = cam_fields.LAYOUT
+    layout = cam.LAYOUT
     plain = MessageMaker(np.random.default_rng(seed), presence, beyond).draw(layout.type)
     received = cam.decode(uper.encode(layout, from_plain(layout, plain)))
     parameters = plain["cam"]["camParameters"]
@@ -157,7 +157,7 @@ def test_a_cam_holds_its_fields_of_any_message(seed, presence, beyond):
     keep(parameters["basicContainer"], {"stationType", "referencePosition"})
     ((station, container),) = parameters["highFrequencyContainer"].items()
     if station == "basicVehicleContainerHighFrequency":
-        fields = cam_fields.BasicVehicleContainerHighFrequency.fields
+        fields = cam.BasicVehicleContainerHighFrequency.fields
         keep(container, {name for name, type in fields.items() if not isinstance(type, Optional)})
     else:
         parameters["highFrequencyContainer"] = {"rsuContainerHighFrequency": {}}

@@ -12,12 +12,11 @@ from hypothesis import strategies as st
 from plain_values import from_plain
 from v2x_messages import MessageMaker
 
-from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields
-from mast_zenoh.v2x.asn1.plain import to_plain
-from mast_zenoh.v2x.asn1.uper import decode, encode
+from mast_zenoh.v2x import cam, cpm
+from mast_zenoh.v2x.asn1.uper import decode, encode, to_plain
 
 FOLDER = Path(os.environ.get("MAST_DATA") or Path(__file__).parents[3] / "shared" / "data") / "etsi_asn1"
-LAYOUTS = {"cpm": cpm_fields.LAYOUT, "cam": cam_fields.LAYOUT}
+LAYOUTS = {"cpm": cpm.LAYOUT, "cam": cam.LAYOUT}
 GOLDEN = {
     golden["name"]: golden
     for name in LAYOUTS
@@ -45,7 +44,7 @@ def test_a_golden_message_has_the_same_fields_and_bytes(name):
 pytestmark = pytest.mark.skipif(not asn1_oracle.FOLDER.is_dir(), reason="no ASN.1 modules in $MAST_DATA/etsi_asn1")
 
 
-@pytest.mark.parametrize("layout", [cpm_fields.LAYOUT, cam_fields.LAYOUT], ids=["CPM", "CAM"])
+@pytest.mark.parametrize("layout", [cpm.LAYOUT, cam.LAYOUT], ids=["CPM", "CAM"])
 @given(st.integers(0, 2**32), st.sampled_from([0.1, 0.5, 0.9]))
 def test_random_messages_have_the_bytes_and_values_of_asn1tools(layout, seed, presence):
     plain = MessageMaker(np.random.default_rng(seed), presence, beyond=False).draw(layout.type)

@@ -9,12 +9,11 @@ from v2x_messages import MessageMaker, damaged
 
 from mast_zenoh import kernels
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields
+from mast_zenoh.v2x import cam, cpm
 from mast_zenoh.v2x.asn1.layout import EncodingProgram
-from mast_zenoh.v2x.asn1.plain import to_plain
-from mast_zenoh.v2x.asn1.uper import decode, encode
+from mast_zenoh.v2x.asn1.uper import decode, encode, to_plain
 
-LAYOUTS = [cpm_fields.LAYOUT, cam_fields.LAYOUT]
+LAYOUTS = [cpm.LAYOUT, cam.LAYOUT]
 of_both = pytest.mark.parametrize("layout", LAYOUTS, ids=["CPM", "CAM"])
 
 
@@ -84,7 +83,7 @@ def test_a_message_that_ends_early_is_refused_at_every_length(layout):
 
 
 def test_a_forged_count_is_refused_before_any_element_is_read():
-    layout = EncodingProgram("list of regions", cpm_fields.PerceptionRegionContainer)
+    layout = EncodingProgram("list of regions", cpm.PerceptionRegionContainer)
     count_of_16383 = int("1" + "10" + 14 * "1" + 7 * "0", 2).to_bytes(3)
     with pytest.raises(MessageError, match=r"message.*bytes.*needed"):
         decode(layout, count_of_16383 + bytes(50))

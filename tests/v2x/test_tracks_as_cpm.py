@@ -12,7 +12,7 @@ from v2x_messages import MessageMaker, damaged
 from mast_zenoh.arrays.states import CLASSES, ObjectStates
 from mast_zenoh.errors import MessageError
 from mast_zenoh.v2x import cpm
-from mast_zenoh.v2x.asn1 import cpm_fields, uper
+from mast_zenoh.v2x.asn1 import uper
 from mast_zenoh.v2x.perceived_objects import ABSENT, GROUP, POLAR, VEHICLE, VRU, PerceivedObjects
 from mast_zenoh.v2x.reference_position import LocalPlane, Position
 from mast_zenoh.v2x.tracks import (
@@ -177,7 +177,7 @@ def test_messages_that_fit_are_not_segmented_and_too_many_segments_are_refused()
 
 
 def test_whatever_decodes_becomes_finite_states():
-    random, layout = np.random.default_rng(6), cpm_fields.LAYOUT
+    random, layout = np.random.default_rng(6), cpm.LAYOUT
     decoded = 0
     for _ in range(300):
         maker = MessageMaker(random, random.choice([0.1, 0.5, 0.9]), beyond=True)

@@ -22,8 +22,7 @@ from mast_zenoh.v2x.asn1.asn1_types import (
     Wrapped,
 )
 from mast_zenoh.v2x.asn1.layout import EncodingProgram, slot_of
-from mast_zenoh.v2x.asn1.plain import to_plain
-from mast_zenoh.v2x.asn1.uper import decode, encode
+from mast_zenoh.v2x.asn1.uper import decode, encode, to_plain
 
 PAIR = Sequence(a=Integer(0, 3), b=Optional(Integer(0, 255)))
 OPEN = Sequence(a=Integer(0, 3)).extensible(b=Optional(Integer(0, 7)))

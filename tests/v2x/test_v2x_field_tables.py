@@ -7,7 +7,7 @@ import asn1_oracle
 import asn1tools
 import pytest
 
-from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields
+from mast_zenoh.v2x import cam, cpm
 from mast_zenoh.v2x.asn1.asn1_types import (
     BitString,
     Boolean,
@@ -113,10 +113,10 @@ def assert_same_members(fields: Any, additions: Any, theirs: dict[str, Any], kin
         assert_same(inner, member, f"{path}.{member['name']}")
 
 
-@pytest.mark.parametrize("fields", [cpm_fields, cam_fields], ids=["CPM", "CAM"])
+@pytest.mark.parametrize("fields", [cpm, cam], ids=["CPM", "CAM"])
 def test_messages_and_containers_have_the_fields_of_the_modules(fields):
     name = fields.LAYOUT.name
-    wrapped = cpm_fields.WrappedCpmContainer if name == "CPM" else cam_fields.WrappedExtensionContainer
+    wrapped = cpm.WrappedCpmContainer if name == "CPM" else cam.WrappedExtensionContainer
     assert_same(fields.LAYOUT.type, types()[asn1_oracle.ROOTS[name]], name)
     for container, type in zip(asn1_oracle.CONTAINERS[name], wrapped.contents.values(), strict=True):
         assert_same(type, types()[container], container)

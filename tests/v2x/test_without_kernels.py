@@ -16,7 +16,7 @@ from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.messages import codec
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runs.recorded import open_recorded
-from mast_zenoh.v2x.asn1 import cpm_fields
+from mast_zenoh.v2x import cpm
 
 SMALL = ("n_infrastructure=1", "n_mobile=1")
 REASON = r" needs compiled kernels, which are not used: "
@@ -73,7 +73,7 @@ def test_a_recording_with_a_codec_is_refused_and_its_messages_are_as_those_of_a_
 
 
 def test_without_kernels_bytes_are_neither_read_nor_written() -> None:
-    program = cpm_fields.LAYOUT.program
+    program = cpm.LAYOUT.program
     for name, what in (("decode_values", "reading"), ("encode_values", "writing")):
         with pytest.raises(ConfigurationError, match=f"{what} CPMs.*CAMs"):
             kernels.REFERENCES[name](program, b"")

@@ -16,18 +16,18 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.live import observer as observers
-from mast_zenoh.runs.live.every_frame import (
+from mast_zenoh.runs.live.measurement import FrameMeter
+from mast_zenoh.runs.live.observer import (
     MOST_PER_KEY,
     PATIENCE,
     SETTLING,
     SETTLING_AT_MOST,
     FrameAssembler,
+    Observer,
     Tally,
     patience_for,
     room_for,
 )
-from mast_zenoh.runs.live.measurement import FrameMeter
-from mast_zenoh.runs.live.observer import Observer
 from mast_zenoh.runs.live.reception import ArrivedMessage, Sample
 from mast_zenoh.runs.recorded import frames_of, open_recorded
 from mast_zenoh.wiring.model import Wiring

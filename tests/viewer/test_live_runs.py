@@ -22,7 +22,7 @@ from mast_zenoh.runs.live.measurement import FrameMeter, seen
 from mast_zenoh.runs.live.observer import Observer
 from mast_zenoh.runs.live.reception import LegState, Sample, WireMeter
 from mast_zenoh.runs.recorded import frames_of, open_recorded
-from mast_zenoh.show.page.live_view import LASTING, LiveBlocks
+from mast_zenoh.show.page.live_server import LASTING, LiveBlocks
 from mast_zenoh.wiring.model import Wiring
 
 _OBJECTS = ("agent", "estimator", "kind", "outcome", "id", "match_id", "x", "y")

@@ -32,17 +32,17 @@ from mast_zenoh.deploy.engine import (
     numeric_environment,
 )
 from mast_zenoh.deploy.ssh import connection, hostsfile
-from mast_zenoh.deploy.ssh.attachment import LEAVE_S, WardenAttachment, ask_warden, attaching
+from mast_zenoh.deploy.ssh.connection import LEAVE_S, WardenAttachment, ask_warden, attaching
 from mast_zenoh.deploy.ssh.hostsfile import LAUNCHER, SshHost
 from mast_zenoh.errors import EngineError, Interrupted
 from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.processes import ENVIRONMENT
 from mast_zenoh.launch.supervisor import Child, how_ended
+from mast_zenoh.mesh.hosting import RUN
 from mast_zenoh.mesh.security import levels
 from mast_zenoh.mesh.security.credentials import ROUTER
 from mast_zenoh.mesh.security.deployment import Deployment
 from mast_zenoh.mesh.session import open_router
-from mast_zenoh.mesh.strays import RUN
 
 if TYPE_CHECKING:
     import asyncssh

@@ -40,7 +40,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh.launch.process_stat import processor_time_s, stat_of
+from mast_zenoh.launch.liveness import processor_time_s, stat_of
 
 NOT_THERE = 7  #: exit code of a client if no warden answers
 

@@ -16,8 +16,8 @@ from mast_zenoh.evaluation.effects.passages import DELAYED, DROPPED, REFRAMED, R
 from mast_zenoh.evaluation.effects.table import CODE, EFFECTS, Effects
 from mast_zenoh.links import type_number
 from mast_zenoh.messages.schemas import Body
-from mast_zenoh.metrics.boxes import Places, find, occurs, pairs_within
-from mast_zenoh.metrics.manipulations import KINDS
+from mast_zenoh.metrics.assignment import Places, find, occurs, pairs_within
+from mast_zenoh.metrics.causes import KINDS
 from mast_zenoh.wiring.model import InterposedWire
 
 #: m, maximum distance between the position in a report and the effect's position on the wire.

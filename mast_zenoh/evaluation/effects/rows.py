@@ -13,8 +13,8 @@ from mast_zenoh.arrays.geometry import NO_OFFSET, NO_TURN
 from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints, within_runs
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Header, Schema, text
-from mast_zenoh.metrics.boxes import find
-from mast_zenoh.metrics.manipulations import ALTERED, INSERTED, MOVED, REMOVED
+from mast_zenoh.metrics.assignment import find
+from mast_zenoh.metrics.causes import ALTERED, INSERTED, MOVED, REMOVED
 
 #: Code of an unchanged object, in addition to the kinds of manipulation.
 UNCHANGED = -1

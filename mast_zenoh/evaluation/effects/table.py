@@ -18,7 +18,7 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.evaluation.effects.passages import MESSAGE_EFFECTS, PassageMeter
 from mast_zenoh.evaluation.effects.rows import UNCHANGED
 from mast_zenoh.messages.schemas import text
-from mast_zenoh.metrics.manipulations import KINDS, MOVED
+from mast_zenoh.metrics.causes import KINDS, MOVED
 from mast_zenoh.wiring.model import InterposedWire, agent_of
 
 #: All effects, by their code in `Effects`: on objects, then on whole messages.

@@ -3,23 +3,29 @@
 An agent is waited for from its announcement on, until it leaves. A batch is due when all agents have sent theirs, or
 when the clock of the next frame arrives: a dead or silent agent does not stall it. A batch has the newest tracks of
 each agent, however late they arrived, predicted to the time of the batch, until they are too old.
+
+Which tracks of each agent a node fuses: an input limit on messages and on the frame; counts what is left out.
+
+What a peer hears from other agents, until the next frame.
+
+From which agents' sensors the objects of a picture come.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import tracks_in_world
-from mast_zenoh.arrays.states import Ints, ObjectStates, concatenate
-from mast_zenoh.fusion.input_limit import ClaimedObjects, InputLimit
-from mast_zenoh.fusion.pipelines.admission import Admission
-from mast_zenoh.fusion.pipelines.fusing import is_view
-from mast_zenoh.gather import MAX_AGE_S, CollationBuffer, plausible
-from mast_zenoh.messages.limits import RowChoice
+from mast_zenoh.arrays.states import Bools, Ints, ObjectStates, concatenate
+from mast_zenoh.fusion.input_limit import ClaimedObjects, InputLimit, Kept, NoInputLimit
+from mast_zenoh.fusion.pipelines.command_center import is_view
+from mast_zenoh.gather import MAX_AGE_S, CollationBuffer, LatestBefore, plausible
+from mast_zenoh.messages.limits import RowChoice, Shortened
 from mast_zenoh.messages.schemas import Body, text
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.tracking.kalman import predicted
@@ -195,3 +201,112 @@ class CollatingNode(Node):
         agent = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
         views = {name: (body, time_ns - at_ns) for name, (at_ns, body) in sorted(self._last_views.items())}
         return Collated(frame, time_ns, concatenate(parts), agent, tuple(names), np.array(ages, np.int64), views)
+
+
+class Admission:
+    """Applies an input limit; None: NoInputLimit().
+
+    A message with more rows than can be used is cut before its rows are checked, by what was kept until two frames
+    before it was sent: a message may arrive before the clock of its frame, and must not depend on that.
+    """
+
+    def __init__(self, limit: InputLimit | None = None) -> None:
+        self.left_out: Counter[str] = Counter()  # number of rows, by agent
+        self._limit = limit or NoInputLimit()
+        self._kept: LatestBefore[Kept] = LatestBefore()
+
+    def begin(self, frame: int) -> None:
+        """Open a frame: call it first of all in each."""
+        self._kept.add(frame, self._limit.kept)
+
+    def choice(self, agent: str, step: int) -> RowChoice | None:
+        """Which rows of an agent's message are used; see `Node.choice`."""
+        limit = self._limit
+        if limit.rows is None:
+            return None
+        return RowChoice(limit.rows, lambda ids, score, rows: self._cut(agent, step, ClaimedObjects(ids, score), rows))
+
+    def _cut(self, agent: str, step: int, objects: ClaimedObjects, rows: int) -> Ints:
+        latest = self._kept.get(step)
+        return self._limit.cut({} if latest is None else latest[1].get(agent, {}), objects, rows)
+
+    def note(self, agent: str, body: Body) -> int:
+        """Number of rows that a message of an agent had beyond those that are used; they count as left out."""
+        beyond = body.found - len(body["score"]) if type(body) is Shortened else 0
+        self.left_out[agent] += beyond
+        return beyond
+
+    def select(self, objects: Mapping[str, ClaimedObjects]) -> dict[str, Ints]:
+        """Rows to fuse in a frame, of each agent of which some are left out. objects: by agent"""
+        selected = self._limit.select(objects)
+        for name, rows in selected.items():
+            self.left_out[name] += len(objects[name].ids) - len(rows)
+        return selected
+
+    def counts(self) -> dict[str, int]:
+        """Number of rows that were left out, by agent."""
+        return {name: count for name, count in sorted(self.left_out.items()) if count}
+
+
+#: Messages on one wire in a frame that wait for the next one, at most.
+MAX_WAITING = 64
+
+
+class Inbox:
+    """Messages that wait for the frame after that of their arrival, in an order that is not that of arrival."""
+
+    def __init__(self) -> None:
+        # By frame of arrival, then by wire, its sender and port: only messages of one wire arrive in a fixed order.
+        self._waiting: dict[int, dict[tuple[str, str], list[Received]]] = {}
+
+    def add(self, frame: int, received: Received) -> bool:
+        """Add a message that arrives in a frame; False if too many on its wire have arrived in it already."""
+        wire = received.subject, received.port
+        waiting = self._waiting.setdefault(frame, {}).setdefault(wire, [])
+        if len(waiting) < MAX_WAITING:
+            waiting.append(received)
+            return True
+        return False
+
+    def take(self, frame: int) -> list[Received]:
+        """Take out the messages that arrived before a frame."""
+        return [
+            received
+            for arrived in sorted(each for each in self._waiting if each < frame)
+            for _, messages in sorted(self._waiting.pop(arrived).items())
+            for received in sorted(messages, key=_order)
+        ]
+
+
+def _order(received: Received) -> tuple[int, int, int]:
+    return received.time_ns, received.frame, received.message.header.seq
+
+
+class Origins:
+    """The agents whose tracks have ever been in each object of a picture.
+
+    A tracker remembers: an object keeps its origins as long as it is in the picture.
+    """
+
+    def __init__(self) -> None:
+        self._names: tuple[str, ...] = ()
+        self._ids = np.zeros(0, np.int64)
+        self._origins = np.zeros((0, 0), np.bool_)
+
+    def update(self, ids: Ints, members: Ints, of_members: Bools, names: Sequence[str]) -> Bools:
+        """(n, a) whether each of a agents is an origin of each of n objects, after one more step.
+
+        ids: (n,) of the picture, ascending; members: (m,) the row of its object for each track of the step, -1: none
+        of_members: (m, a) origins of these tracks; names: of the a agents, sorted
+        """
+        origins = np.zeros((len(ids), len(names)), np.bool_)
+        if len(self._ids):
+            place = np.minimum(np.searchsorted(self._ids, ids), len(self._ids) - 1)
+            known = self._ids[place] == ids
+            columns = [names.index(name) for name in self._names if name in names]
+            kept = [column for column, name in enumerate(self._names) if name in names]
+            origins[np.ix_(known.nonzero()[0], columns)] = self._origins[place[known]][:, kept]
+        used = members >= 0
+        np.logical_or.at(origins, members[used], of_members[used])
+        self._names, self._ids, self._origins = tuple(names), ids, origins
+        return origins

@@ -22,7 +22,7 @@ from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.integrity.visibility import seen_through
 from mast_zenoh.kernels import kernel
 from mast_zenoh.tracking.classes import ACCELERATION
-from mast_zenoh.tracking.covariances import make_positive_definite
+from mast_zenoh.tracking.kalman import make_positive_definite
 
 #: ns after which an id that neither source has is forgotten: as long as the trackers remember (their `max_coast_s`).
 FORGOTTEN_NS = 3_000_000_000

@@ -24,7 +24,7 @@ from typing import Any
 from mast_zenoh.errors import BackendError
 from mast_zenoh.faults import network
 from mast_zenoh.faults.network import LinkState
-from mast_zenoh.launch.netns import relay, shaping
+from mast_zenoh.launch.netns import namespaces, relay
 from mast_zenoh.launch.netns.namespaces import Namespace, own_prefix, sweep
 from mast_zenoh.launch.processes import end_process
 
@@ -109,7 +109,7 @@ class Hosts:
 
     def _set_up(self) -> None:
         sweep()
-        prefix, delays_by = own_prefix(), shaping.delays_by(network.needs(self.spec))
+        prefix, delays_by = own_prefix(), namespaces.delays_by(network.needs(self.spec))
         self._centre = self._namespace(f"{prefix}centre")
         self._centre.ip("address", "add", f"{CENTRE}/32", "dev", "lo")
         for number, (name, host) in enumerate(self.spec["hosts"].items(), 1):
@@ -173,9 +173,11 @@ class Hosts:
         changed = {name: state for name, state in states.items() if state != before[name]}
         dropping = [name for name, state in changed.items() if _drops(state) != _drops(before[name])]
         if dropping:
-            self._centre.nft(shaping.rules({self._links[name].device: state for name, state in self._states.items()}))
+            self._centre.nft(
+                namespaces.rules({self._links[name].device: state for name, state in self._states.items()})
+            )
         for name in dropping:
-            self._links[name].host.nft(shaping.rules({_DEVICE: changed[name]}))
+            self._links[name].host.nft(namespaces.rules({_DEVICE: changed[name]}))
         for name, state in changed.items():
             self._links[name].shape(before[name], state)
 
@@ -217,11 +219,11 @@ class _HostLink:
         if self.relay is not None and delay_changed:
             self.relay.send(relay.COMMAND.pack(state.delay_ms * 1e-3, state.jitter_ms * 1e-3))
         if self.delayed_by == "netem" and (delay_changed or bandwidth_changed):
-            self.centre.tc(shaping.netem(self.device, state))
-            self.host.tc(shaping.netem(_DEVICE, state))
+            self.centre.tc(namespaces.netem(self.device, state))
+            self.host.tc(namespaces.netem(_DEVICE, state))
         elif bandwidth_changed:
-            self.centre.tc(shaping.bandwidth(self.device, state.bits_per_s))
-            self.host.tc(shaping.bandwidth(_DEVICE, state.bits_per_s))
+            self.centre.tc(namespaces.bandwidth(self.device, state.bits_per_s))
+            self.host.tc(namespaces.bandwidth(_DEVICE, state.bits_per_s))
 
 
 class _Process:

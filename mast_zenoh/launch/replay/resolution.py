@@ -9,11 +9,19 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.config import loading
-from mast_zenoh.config.allowed_code import SHIPPED, AllowedCode
-from mast_zenoh.config.process_steps import REALTIME, ProcessStep
-from mast_zenoh.config.resolved import DRIVER_ROLE, RECORDING, NodeSpec, Resolved, build_node, has_topics_outside
+from mast_zenoh.config.loading import SHIPPED, AllowedCode
+from mast_zenoh.config.resolved import (
+    DRIVER_ROLE,
+    REALTIME,
+    RECORDING,
+    NodeSpec,
+    ProcessStep,
+    Resolved,
+    build_node,
+    has_topics_outside,
+)
 from mast_zenoh.errors import ConfigurationError, MastError
-from mast_zenoh.evaluation.driver_wires import driver_ports
+from mast_zenoh.evaluation.driven import driver_ports
 from mast_zenoh.launch import liveness
 from mast_zenoh.launch.measurement import recorded_wirings, scenario_of
 from mast_zenoh.launch.replay.cut import Place, ReplayedMesh, cut
@@ -173,7 +181,7 @@ def resolve(
 def _driver_inputs(
     evaluator: NodeSpec, wiring: Wiring, division: ReplayedMesh, same: bool
 ) -> dict[str, list[tuple[str, str]]]:
-    """The messages of the played drivers, for the evaluator: see `driver_wires.driver_ports`.
+    """The messages of the played drivers, for the evaluator: see `driven.driver_ports`.
 
     What played nodes send is what a driver received; so is what live nodes send, if they are the `same` as recorded.
 

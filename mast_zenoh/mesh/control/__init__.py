@@ -4,15 +4,15 @@ A decoder returns a value or raises MessageError, whatever bytes it is given: ty
 nothing more than expected is accepted. Each encoder is next to its decoder; requests of a user are encoded in
 launch/live_interception.
 
-codec          strict decoding within limits;  types of the parts of messages;  counts refused messages
+codec          strict decoding within limits; types of the parts of messages; counts refused messages; signs messages
+               of the driver and the launcher, above the level "open", and verifies them
 flow           counts, epoch, act, stop, leave, drain, rewire: how frames, members and the wiring change; stop reasons
 files          fetch, file: files between a node on another host and the launcher;  the description of a run
 interception   intercept, release: requests of a user
 failures       failed: failures of handlers, counted, merged, formatted
-results        result: what a node returns and reports at its end, and parts of its tables before
-tables         tables in parts: checked columns, cut into equal numbers of rows
+results        result: what a node returns and reports at its end, and parts of its tables before; tables in parts:
+               checked columns, cut into equal numbers of rows
 key_marks      marks of keys in attachments: on which key a message was sent
-signatures     signs messages of the driver and the launcher, above the level "open", and verifies them
 
 CONTROLS is the table of all keys below mast/{run}/@control/. security/access.py grants no more rights than it lists.
 """

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from msgspec import Meta
 
-from mast_zenoh.config.process_steps import ACTIONS
+from mast_zenoh.config.resolved import ACTIONS
 from mast_zenoh.errors import MessageError
 from mast_zenoh.mesh.control import codec
 from mast_zenoh.mesh.control.codec import ControlMessage, Finite, FrameOrNone, Key, Name, Roles, Text, Whole, encode

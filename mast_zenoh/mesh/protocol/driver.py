@@ -12,18 +12,15 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from mast_zenoh.config.process_steps import LEAVING, ProcessStep
-from mast_zenoh.config.resolved import Resolved
+from mast_zenoh.config.resolved import LEAVING, ProcessStep, Resolved
 from mast_zenoh.errors import MessageError
 from mast_zenoh.mesh.control import flow
 from mast_zenoh.mesh.control.flow import END, MAX_TEXT, StopKind, StopReason, decode_reason, encode_reason
 from mast_zenoh.mesh.host import Outgoing
-from mast_zenoh.mesh.protocol.actions import Query
-from mast_zenoh.mesh.protocol.events import CountsEvent, Event, PresenceEvent, RewireEvent, StopEvent
+from mast_zenoh.mesh.protocol.events import CountsEvent, Event, PresenceEvent, Query, RewireEvent, StopEvent
 from mast_zenoh.mesh.protocol.node import MAX_FRAMES, NodeProtocol
-from mast_zenoh.mesh.protocol.pacer import Membership, Pacer, TokenPresence, waits_for_listeners
+from mast_zenoh.mesh.protocol.pacer import Membership, Pacer, Timetable, TokenPresence, waits_for_listeners
 from mast_zenoh.mesh.protocol.rewiring import Rewiring
-from mast_zenoh.mesh.protocol.timetable import Timetable
 from mast_zenoh.mesh.protocol.traffic import ProcessContext
 from mast_zenoh.node import Context, Node, Source
 

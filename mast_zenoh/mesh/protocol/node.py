@@ -1,4 +1,4 @@
-"""A node's process as a state machine: events in, actions out, see `actions`.
+"""A node's process as a state machine: events in, actions out, see `events`.
 
 `receive_…` methods take what arrives, from any thread: they check it and put an event into the inbox. All others are
 for one thread, which takes events from the inbox.
@@ -19,7 +19,7 @@ from mast_zenoh.mesh.control.failures import Failure, encode_failure
 from mast_zenoh.mesh.control.flow import WiringUpdate
 from mast_zenoh.mesh.host import Host
 from mast_zenoh.mesh.protocol import events
-from mast_zenoh.mesh.protocol.actions import Query
+from mast_zenoh.mesh.protocol.events import Query
 from mast_zenoh.mesh.protocol.pacer import waits_for_listeners
 from mast_zenoh.mesh.protocol.rewiring import WiringFollower
 from mast_zenoh.mesh.protocol.traffic import Outlets, ProcessContext, Receiving

@@ -24,7 +24,7 @@ from mast_zenoh.mesh.control import flow
 from mast_zenoh.mesh.control.codec import encode
 from mast_zenoh.mesh.control.flow import Rewire, Rewired, WiringUpdate
 from mast_zenoh.mesh.host import Host
-from mast_zenoh.mesh.protocol.actions import Actions, Query
+from mast_zenoh.mesh.protocol.events import Actions, Query
 from mast_zenoh.mesh.protocol.pacer import Membership, Pacer
 from mast_zenoh.mesh.protocol.traffic import Outlets, Receiving
 from mast_zenoh.messages import codec

@@ -13,11 +13,10 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager
 from typing import NamedTuple
 
+from mast_zenoh.mesh.control.codec import Signatures
 from mast_zenoh.mesh.control.key_marks import MARK, MARK_BYTES, ZenohAttachment, key_mark
-from mast_zenoh.mesh.control.signatures import Signatures
 from mast_zenoh.mesh.host import Host, Outgoing
-from mast_zenoh.mesh.protocol.actions import Actions, Clocks
-from mast_zenoh.mesh.protocol.events import DroppedEvent, Event, MessageEvent, NewestEvent
+from mast_zenoh.mesh.protocol.events import Actions, Clocks, DroppedEvent, Event, MessageEvent, NewestEvent
 from mast_zenoh.mesh.waiting import EARLY, INBOX, Limit, Room
 from mast_zenoh.wiring.model import Wiring
 

@@ -15,7 +15,7 @@ from typing import Any
 import zenoh
 
 from mast_zenoh import run_folder
-from mast_zenoh.config.allowed_code import OWN_RUN, SHIPPED, AllowedCode
+from mast_zenoh.config.loading import OWN_RUN, SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, Resolved
 from mast_zenoh.errors import ConfigurationError, MessageError, NotRunning, SceneError, UntrustedCode
 from mast_zenoh.launch import liveness, measurement

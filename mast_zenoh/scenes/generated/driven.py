@@ -9,9 +9,9 @@ import numpy as np
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.driving.motion import Command, RouteAhead, drive
+from mast_zenoh.scenes.base import SteppedWorld
 from mast_zenoh.scenes.generated.traffic import Motion, Traffic
 from mast_zenoh.scenes.making.observe import World
-from mast_zenoh.scenes.stepped import SteppedWorld
 from mast_zenoh.sensing import Detector
 
 #: m, how far ahead of a car its route is told.

@@ -23,8 +23,8 @@ from mast_zenoh.messages.packed import Packed
 from mast_zenoh.run_folder.recording.reader import Recorded, read
 from mast_zenoh.runs.run import Run
 from mast_zenoh.v2x import cam, cpm
-from mast_zenoh.v2x.asn1 import cam_fields, cpm_fields, uper
-from mast_zenoh.v2x.asn1.plain import to_plain
+from mast_zenoh.v2x.asn1 import uper
+from mast_zenoh.v2x.asn1.uper import to_plain
 from mast_zenoh.v2x.reference_position import Position
 from mast_zenoh.wiring.model import InterposedWire, Wiring
 
@@ -53,7 +53,7 @@ _POSITION = struct.Struct("!H6sIiiHHI")
 _CONFIGURED, _ROADSIDE_UNIT, _UNKNOWN_STATION = 0x8000, 15, 0
 #: Destination ports, by codec, and their info; fields of the messages.
 _PORTS = {"cpm": 2009, "cam": 2001}
-_LAYOUTS = {"cpm": cpm_fields.LAYOUT, "cam": cam_fields.LAYOUT}
+_LAYOUTS = {"cpm": cpm.LAYOUT, "cam": cam.LAYOUT}
 _BTP = struct.Struct("!HH")
 
 

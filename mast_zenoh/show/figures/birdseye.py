@@ -24,7 +24,7 @@ from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing.sensors import LidarSensor
 from mast_zenoh.show.figures.style import Theme, plain
-from mast_zenoh.show.figures.window import Window
+from mast_zenoh.show.figures.view import Window
 from mast_zenoh.show.palette import TROUBLES
 
 #: m, distance of the lines of the grid.

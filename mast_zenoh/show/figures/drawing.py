@@ -17,7 +17,7 @@ from mast_zenoh.show.figures.birdseye import BirdseyePanel
 from mast_zenoh.show.figures.camera import draw_camera, ego_eye
 from mast_zenoh.show.figures.legend import draw_legend, legend_entries
 from mast_zenoh.show.figures.style import THEMES, Figure, pdf, plain, png, svg
-from mast_zenoh.show.figures.window import Window, window_of
+from mast_zenoh.show.figures.view import Window, window_of
 from mast_zenoh.show.tables.scores import ScoreTable
 
 _THEME = THEMES["dark"]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from mast_zenoh.driving.comfort import HARD_BRAKING_MPS2
+from mast_zenoh.driving.motion import HARD_BRAKING_MPS2
 from mast_zenoh.runs.driven import brakes_of, course_of
 from mast_zenoh.runs.files import Table
 from mast_zenoh.runs.run import Run
@@ -16,7 +16,7 @@ from mast_zenoh.show.figures.birdseye import draw_ground
 from mast_zenoh.show.figures.over_time import handles_of, legend_above
 from mast_zenoh.show.figures.style import THEMES, Figure, light_axes, plain
 from mast_zenoh.show.figures.timeaxis import padded
-from mast_zenoh.show.figures.window import Window
+from mast_zenoh.show.figures.view import Window
 from mast_zenoh.show.palette import ADVERSARY_ON_LIGHT, INK, KEYS, LOCAL, RUN_COLOURS
 
 #: Of needless brakes, and of others.

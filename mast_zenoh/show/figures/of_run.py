@@ -24,8 +24,8 @@ from mast_zenoh.show.figures import drawing
 from mast_zenoh.show.figures.diagram import draw_wiring
 from mast_zenoh.show.figures.driven import driven_figure
 from mast_zenoh.show.figures.over_time import SMOOTH, causes_over_time, counts_over_time, driving_over_time
+from mast_zenoh.show.figures.plots import trust_over_time
 from mast_zenoh.show.figures.style import Figure
-from mast_zenoh.show.figures.trust import trust_over_time
 from mast_zenoh.show.findings.cars import of_cars
 from mast_zenoh.show.findings.words import capital
 from mast_zenoh.show.findings.words import text as said_in_text

@@ -12,7 +12,7 @@ from mast_zenoh.sensing import sensor_pose, to_world
 from mast_zenoh.show.figures.birdseye import AgentLook, AgentMarks, BoxArtists, draw_ground
 from mast_zenoh.show.figures.legend import draw_legend, mark_entry
 from mast_zenoh.show.figures.style import THEMES, Figure, plain
-from mast_zenoh.show.figures.window import Window
+from mast_zenoh.show.figures.view import Window
 
 _DETECTION = "#56b4e9"
 _FARTHEST_M = 110.0  # objects beyond this distance from all agents do not widen the window

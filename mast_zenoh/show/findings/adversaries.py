@@ -10,7 +10,7 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.metrics.achievement import DISPLACED_M
-from mast_zenoh.metrics.boxes import Places, nearest, occurs
+from mast_zenoh.metrics.assignment import Places, nearest, occurs
 from mast_zenoh.metrics.estimates import LOCAL, PICTURE
 from mast_zenoh.metrics.study_results import plural
 from mast_zenoh.run_folder.finding import Finding

@@ -1,9 +1,8 @@
 """The page that plays runs in a browser, for the report and for `mast view`.
 
-block        frames of a run as a compact block of columns, which the page reads;  motion: of its boxes
-columns      packs columns of integers
-page         the page: js/*.js joined, style, security policy; serves the page of finished runs
-live_view    a running run: its frames as blocks, until it has ended
-live_server  serves these to all pages that are open
+block        frames of a run as a compact block of columns, which the page reads
+motion       the boxes of a page and their motion; packs columns of integers
+page         the page: js/*.js joined, style, security policy
+live_server  serves the page of finished runs, and a running run: its frames as blocks, until it has ended
 js/          JavaScript modules without a build step
 """

@@ -27,8 +27,7 @@ from mast_zenoh.runs.files import ALL, Table, are_in, column, rows
 from mast_zenoh.runs.interposers import adversaries_by_agent, interposers
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import TRUTH_COLUMNS, Recording, SceneAgent, truth_states
-from mast_zenoh.show.page.columns import Packer
-from mast_zenoh.show.page.motion import Judgements, Meaning, View, motion_of, recorded_tracks, row_keys
+from mast_zenoh.show.page.motion import Judgements, Meaning, Packer, View, motion_of, recorded_tracks, row_keys
 from mast_zenoh.show.palette import STATES, page_colours
 
 FORMAT = 1

@@ -11,8 +11,7 @@ from rich.text import Text
 from mast_zenoh.metrics import CAUSES
 from mast_zenoh.metrics.measures import COLUMNS
 from mast_zenoh.metrics.study_results import Statistic, StudyFacts, StudyRow, StudySeries, shares
-from mast_zenoh.show.findings.words import paragraph
-from mast_zenoh.show.narrative.study import (
+from mast_zenoh.show.findings.of_study import (
     Comparisons,
     compare,
     comparisons_made,
@@ -21,6 +20,7 @@ from mast_zenoh.show.narrative.study import (
     result,
     titled,
 )
+from mast_zenoh.show.findings.words import paragraph
 from mast_zenoh.show.tables.study_rows import (
     ACHIEVED,
     ADDED,

@@ -15,8 +15,7 @@ from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.metrics.causes import ATTACK_CAUSES
 from mast_zenoh.metrics.estimates import LOCAL, PICTURE
-from mast_zenoh.metrics.significance import clearest
-from mast_zenoh.metrics.study_results import NAN, Row, Statistic
+from mast_zenoh.metrics.study_results import NAN, Row, Statistic, clearest
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.show.findings.words import of_study, paragraph
 from mast_zenoh.show.tables.text_table import (

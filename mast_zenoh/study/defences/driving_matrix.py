@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.metrics.estimates import MISSION
-from mast_zenoh.metrics.significance import clearest
-from mast_zenoh.metrics.study_results import NEGLIGIBLE, Row, Statistic, plural
+from mast_zenoh.metrics.study_results import NEGLIGIBLE, Row, Statistic, clearest, plural
 from mast_zenoh.show.findings.words import of_study, paragraph
 from mast_zenoh.show.tables.study_rows import over_trials
 from mast_zenoh.show.tables.text_table import (

@@ -19,8 +19,7 @@ from mast_zenoh.study.defences.breakdown import HALF, honest_first, mean_crossin
 from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import alone, is_fault, lies, undefended
 from mast_zenoh.study.defences.matrix_table import MatrixTable, Published
-from mast_zenoh.study.defences.published import BY_SUSPENSION, PUBLISHED, published_tables
-from mast_zenoh.study.defences.scoreboard import scoreboard_tables
+from mast_zenoh.study.defences.scoreboard import BY_SUSPENSION, PUBLISHED, published_tables, scoreboard_tables
 from mast_zenoh.study.trial import TrialOutcome
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.show.figures.drawing import RenderedFigure, render
 from mast_zenoh.show.figures.facets import Axis, HeatMap, facet, heat_facet, marks
+from mast_zenoh.show.figures.plots import trust_figure
 from mast_zenoh.show.figures.style import LINE_STYLES, Figure, light_axes, plain
-from mast_zenoh.show.figures.trust import trust_figure
 from mast_zenoh.show.findings.words import paragraph
 from mast_zenoh.show.palette import INK, LOCAL, RUN_COLOURS
 from mast_zenoh.show.tables.text_table import number

@@ -43,7 +43,7 @@ class Published:
 
     method: our stage or attack;  source: citation
     figure: of the paper, "" if none is known;  basis: how figure and method are known
-    quantities: names in `published.QUANTITIES`, nearest to the figure;  why: ours differs
+    quantities: names in `scoreboard.QUANTITIES`, nearest to the figure;  why: ours differs
     defences, attacks: names in the matrix, of which one is the method; (): all
     """
 

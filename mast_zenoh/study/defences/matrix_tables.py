@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from mast_zenoh.metrics.significance import clearest
-from mast_zenoh.metrics.study_results import Row, Statistic, plural
+from mast_zenoh.metrics.study_results import Row, Statistic, clearest, plural
 from mast_zenoh.show.findings.words import paragraph
 from mast_zenoh.show.tables.text_table import (
     DASH,
@@ -24,8 +23,7 @@ from mast_zenoh.show.tables.text_table import (
 )
 from mast_zenoh.study.defences.kinds import few_trials
 from mast_zenoh.study.defences.matrix_table import DEFENCE_MEASURES, MatrixTable
-from mast_zenoh.study.defences.published import QUANTITIES
-from mast_zenoh.study.defences.scoreboard import scoreboard_tables
+from mast_zenoh.study.defences.scoreboard import QUANTITIES, scoreboard_tables
 
 _FRAMING = ("framed", "framed_by_minority", "framed_by_majority", "wrongly_suspended")
 #: Measures of a cell in a kind of scene, and their headings.

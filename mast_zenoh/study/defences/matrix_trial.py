@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.metrics.boxes import Places, nearest
+from mast_zenoh.metrics.assignment import Places, nearest
 from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
 from mast_zenoh.run_folder.tables import from_arrow
 from mast_zenoh.runs.events import trust_in_agents
 from mast_zenoh.runs.observability import observability
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.study.defences.placements import honest_majority
+from mast_zenoh.study.choices import honest_majority
 from mast_zenoh.study.numbers import ego, scored_frames
 
 #: States that the figure shows.

@@ -13,10 +13,11 @@ from typing import Any, Protocol
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.launch.launcher_protocol import RunState
 from mast_zenoh.launch.supervisor import Child, Supervisor
+from mast_zenoh.mesh.control.codec import Signatures
 from mast_zenoh.mesh.control.flow import StopKind
-from mast_zenoh.mesh.control.signatures import Signatures
 from mast_zenoh.mesh.protocol import events
-from mast_zenoh.mesh.protocol.actions import (
+from mast_zenoh.mesh.protocol.driver import DriverProtocol, protocol_of
+from mast_zenoh.mesh.protocol.events import (
     DOZE_S,
     DRAIN_TIMEOUT_S,
     OFFER_TIMEOUT_S,
@@ -24,7 +25,6 @@ from mast_zenoh.mesh.protocol.actions import (
     Actions,
     Clocks,
 )
-from mast_zenoh.mesh.protocol.driver import DriverProtocol, protocol_of
 from mast_zenoh.mesh.protocol.node import CLOCK
 from mast_zenoh.mesh.protocol.traffic import ATTACHMENT, EventInbox, Item, ProcessContext
 from mast_zenoh.mesh.waiting import Limit, Room

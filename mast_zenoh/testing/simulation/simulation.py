@@ -18,11 +18,10 @@ from mast_zenoh.launch.launcher_protocol import (
     churn_of,
 )
 from mast_zenoh.mesh.control import failures, flow
+from mast_zenoh.mesh.control.codec import Signatures
 from mast_zenoh.mesh.control.failures import Entry
 from mast_zenoh.mesh.control.interception import Intercept, Release
-from mast_zenoh.mesh.control.results import decode_part, decode_result
-from mast_zenoh.mesh.control.signatures import Signatures
-from mast_zenoh.mesh.control.tables import PartedTables
+from mast_zenoh.mesh.control.results import PartedTables, decode_part, decode_result
 from mast_zenoh.mesh.protocol.driver import DriverProtocol
 from mast_zenoh.testing.simulation.network import LEASE_NS, S
 from mast_zenoh.testing.simulation.processes import SimulatedMesh, SimulatedProcess, SimulatedSupervisor

@@ -43,7 +43,7 @@ class SimulatedWorld:
             if has_topics_outside(spec):
                 raise ConfigurationError(
                     f"{name}: {spec.type} exchanges messages with programs outside the run, which a simulated mesh "
-                    "does not have: expected nodes without; test such a node by testing.outside.FakeLink"
+                    "does not have: expected nodes without; test such a node by testing.scenarios.FakeLink"
                 )
         planned: list[Intercept] = []
         for request in requests:

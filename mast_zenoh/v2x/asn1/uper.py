@@ -4,18 +4,90 @@ Encodings are canonical: whatever decodes encodes to the same bytes again. Encod
 non-zero padding and trailing bytes are refused. Unknown extension additions, alternatives and containers are kept as
 octets. Refused because they are not supported: fragments (lengths over 16383), more than 64 additions, integers of
 more than 8 octets.
+
+Kernels that encode and decode along a program: ITU-T X.691 (02/2021), unaligned, as one canonical encoding.
+
+`layout` describes programs and flat values. Without compiled kernels, there is no version: ConfigurationError.
+
+Flat values of a message (see `layout`) as dicts and lists, for export.
+
+| type | plain |
+|---|---|
+| sequence | dict; absent fields have no key; fields with a DEFAULT always have one |
+| list | list |
+| choice | dict of one key |
+| integer, boolean | int, bool |
+| enumeration | name |
+| bit string, octet string | text of 0 and 1, text of hexadecimal digits |
+| open type | its contents; hexadecimal digits if the identifier is unknown |
+| unknown addition | key or name "+N", counted from 0 behind the extension marker; hexadecimal digits |
+
+An unknown addition of None is the last one that the encoding lists, if that is absent.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from enum import IntEnum
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x.asn1.asn1_types import LONGEST, Choice, Enumerated, Integer, ListOf, Sequence, Type, Wrapped
-from mast_zenoh.v2x.asn1.codec_kernels import CodecFault, Refusal, Values, decode_values, encode_values
-from mast_zenoh.v2x.asn1.layout import EncodingProgram, NodeKind, places
+from mast_zenoh.kernels import kernel, missing
+from mast_zenoh.v2x.asn1.asn1_types import (
+    LONGEST,
+    UNKNOWN,
+    BitString,
+    Boolean,
+    Choice,
+    Enumerated,
+    Integer,
+    ListOf,
+    OctetString,
+    Sequence,
+    Type,
+    Wrapped,
+)
+from mast_zenoh.v2x.asn1.layout import EncodingProgram, NodeKind, extension_slot, places, width
+
+Values = npt.NDArray[np.int64]
+
+
+class CodecFault(IntEnum):
+    """What is wrong with bytes or values; `kernels/uper.pxd` repeats them."""
+
+    TRUNCATED = 1
+    TRAILING = 2
+    PADDING = 3
+    RANGE = 4
+    COUNT = 5
+    PRESENCE = 6
+    LONGER = 7
+    FRAGMENTED = 8
+    OPEN_LENGTH = 9
+    NO_ADDITION = 10
+    ADDITIONS = 11
+    WIDE_INTEGER = 12
+    ROWS = 13
+
+
+#: Why a kernel refuses bytes or values: the fault, the offending number, and the numbers of fields, elements and
+#: alternatives on the way to it.
+Refusal = tuple[int, int, tuple[int, ...]]
+
+
+@kernel
+def decode_values(program: Values, data: bytes) -> tuple[Values | None, Refusal | None]:
+    """The flat values of a message, or why it is refused."""
+    raise missing("reading CPMs and CAMs")
+
+
+@kernel
+def encode_values(program: Values, values: Values) -> tuple[bytes | None, Refusal | None]:
+    """The bytes of a message, or why its flat values are refused."""
+    raise missing("writing CPMs and CAMs")
 
 
 def encode(layout: EncodingProgram, values: Values) -> bytes:
@@ -130,3 +202,48 @@ def _presence(found: int, kind: NodeKind | None) -> str:
     if kind == NodeKind.ABSENT:
         return "0: the field is not allowed here"
     return "0: it is behind the listed additions" if found == 1 else "0 or 1"
+
+
+def to_plain(layout: EncodingProgram, values: Values) -> Any:
+    """A message's flat values as dicts and lists."""
+    return _to_plain(layout.type, values.tolist(), 0)
+
+
+def _to_plain(type: Type, values: list[int], slot: int) -> Any:
+    value = values[slot]
+    if isinstance(type, Integer):
+        return bool(value) if isinstance(type, Boolean) else value
+    if isinstance(type, Enumerated):
+        return type.known[value] if value < len(type.known) else unknown_name(value - len(type.root))
+    if isinstance(type, ListOf):
+        count, start, step = value, values[slot + 1], width(type.element)
+        elements = [_to_plain(type.element, values, start + step * row) for row in range(count)]
+        if isinstance(type, BitString):
+            return "".join(map(str, elements))
+        return bytes(elements).hex() if isinstance(type, OctetString) else elements
+    if isinstance(type, Sequence):
+        return _fields(type, values, slot)
+    if isinstance(type, Choice):
+        names = list(type.known)
+        if value < len(names):
+            return {names[value]: _to_plain(type.known[names[value]], values, slot + 1)}
+        return {unknown_name(value - len(type.alternatives)): _to_plain(UNKNOWN, values, slot + 1)}
+    return {type.id_name: value, type.data_name: _to_plain(type.contents.get(value, UNKNOWN), values, slot + 1)}
+
+
+def _fields(type: Sequence, values: list[int], slot: int) -> dict[str, Any]:
+    plain = {
+        place.name: _to_plain(place.type, values, slot + place.slot)
+        for place in places(type)
+        if place.kind < NodeKind.OPTIONAL or values[slot + place.first]
+    }
+    if type.additions is not None:
+        known = len(type.additions)
+        n, start = values[slot + extension_slot(type)], values[slot + extension_slot(type) + 1]
+        for addition in range(known, n):
+            row = start + 3 * (addition - known)
+            if values[row]:
+                plain[unknown_name(addition)] = _to_plain(UNKNOWN, values, row + 1)
+            elif addition == n - 1:
+                plain[unknown_name(addition)] = None
+    return plain

@@ -17,8 +17,8 @@ from mast_datasets.traffic import TrafficScene, classes_of
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.detection_tables import read_column
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
+from mast_zenoh.scenes.own_detections import read_column
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
 

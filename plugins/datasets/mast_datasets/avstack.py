@@ -16,15 +16,14 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from mast_datasets.archive import unpack
 from mast_datasets.files import Coordinate, Count, Element, Point, Seconds, Size, closed_outline, only, read_json
+from mast_datasets.opv2v_files import unpack
 from mast_datasets.traffic import ABOVE_0, DataSetScene, boxes_of, check_steps
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.detection_tables import class_of
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
-from mast_zenoh.scenes.own_detections import lines_of_agents, read_json_lines
+from mast_zenoh.scenes.own_detections import class_of, lines_of_agents, read_json_lines
 from mast_zenoh.scenes.recording import SEEN_RETURNS, Recording, SceneAgent
 from mast_zenoh.scenes.recording_file import check_counts
 from mast_zenoh.sensing import Camera, LidarSensor

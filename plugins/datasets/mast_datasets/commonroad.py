@@ -21,8 +21,7 @@ from mast_datasets.traffic import (
 )
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
-from mast_zenoh.scenes.making.virtual_agents import VEHICLE_CLASSES
+from mast_zenoh.scenes.making.assembly import VEHICLE_CLASSES, SceneBoxes, assemble
 from mast_zenoh.scenes.recording import Recording
 
 _Step = Annotated[int, Meta(ge=0, le=100_000)]  # number of a time step

@@ -28,7 +28,7 @@ from yaml.constructor import ConstructorError, SafeConstructor
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
-from mast_zenoh.scenes.detection_tables import MAX_FILE_BYTES, read_text
+from mast_zenoh.scenes.own_detections import MAX_FILE_BYTES, read_text
 
 #: Limit on one line of a text file, bytes.
 MAX_LINE = 100_000

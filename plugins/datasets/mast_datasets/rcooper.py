@@ -15,8 +15,7 @@ from mast_datasets.files import choose_name, entries
 from mast_datasets.traffic import ABOVE_0, DataSetScene, check_times, listed_returns
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import SceneError
-from mast_zenoh.scenes.making.assembly import assemble
-from mast_zenoh.scenes.making.virtual_agents import standing
+from mast_zenoh.scenes.making.assembly import assemble, standing
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera, LidarSensor
 

@@ -20,8 +20,8 @@ from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.agents import SceneSensor
-from mast_zenoh.scenes.detection_tables import read_text
 from mast_zenoh.scenes.making.sensor_types import Lidar, ObjectCamera, Radar, Sensor
+from mast_zenoh.scenes.own_detections import read_text
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import LidarSensor
 

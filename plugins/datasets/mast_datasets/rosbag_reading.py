@@ -14,10 +14,9 @@ from typing import Any, Generic, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 from mast_ros2 import type_store
-from mast_ros2.frame_transforms import slerp
-from mast_ros2.object_ids import id_of_text, id_of_uuid
+from mast_ros2.object_messages import id_of_text, id_of_uuid
 from mast_ros2.received_objects import ReceivedObjects, received_detections, received_tracks
-from mast_ros2.received_poses import POSES, stamped_poses
+from mast_ros2.received_poses import POSES, slerp, stamped_poses
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 from rosbags.typesys.base import normalize_fieldname

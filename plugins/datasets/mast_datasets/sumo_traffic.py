@@ -22,12 +22,11 @@ from mast_zenoh.arrays.geometry import rotation_from_yaw, wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.driving.motion import Command, RouteAhead, drive
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes
+from mast_zenoh.scenes.base import SteppedWorld
+from mast_zenoh.scenes.making.assembly import MAX_POLES, AgentPath, SceneBoxes, poles, roof_sensors
 from mast_zenoh.scenes.making.observe import World, detect, lidar_visibility, make_recording
 from mast_zenoh.scenes.making.sensor_types import SensorsByAgent, equip
-from mast_zenoh.scenes.making.virtual_agents import MAX_POLES, poles, roof_sensors
 from mast_zenoh.scenes.recording import Recording, SceneAgent, truth_states
-from mast_zenoh.scenes.stepped import SteppedWorld
 from mast_zenoh.sensing import Detector
 from mast_zenoh.streams import stream
 

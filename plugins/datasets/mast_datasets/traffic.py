@@ -17,8 +17,7 @@ from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.base import Scene
-from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes
-from mast_zenoh.scenes.making.virtual_agents import MAX_POLES, poles, vehicle, vehicles_throughout
+from mast_zenoh.scenes.making.assembly import MAX_POLES, AgentPath, SceneBoxes, poles, vehicle, vehicles_throughout
 from mast_zenoh.scenes.recording import SEEN_RETURNS
 from mast_zenoh.scenes.recording_file import check_counts
 from mast_zenoh.sensing import DetectionModel, Detector, lidar_points, sensor_pose

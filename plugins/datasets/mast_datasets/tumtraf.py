@@ -16,8 +16,7 @@ from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, check_times, cl
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
-from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
-from mast_zenoh.scenes.making.virtual_agents import standing
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble, standing
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
 

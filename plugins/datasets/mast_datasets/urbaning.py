@@ -17,9 +17,8 @@ from mast_datasets.traffic import DataSetScene, Labels, check_times, classes_of,
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
-from mast_zenoh.scenes.detection_tables import read_text
-from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
-from mast_zenoh.scenes.making.virtual_agents import standing
+from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble, standing
+from mast_zenoh.scenes.own_detections import read_text
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
 

@@ -9,9 +9,8 @@ from mast_datasets.traffic import HEIGHT_OF_CLASS
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX
 from mast_zenoh.scenes import Intersection
-from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble
+from mast_zenoh.scenes.making.assembly import SceneBoxes, assemble, vehicle
 from mast_zenoh.scenes.making.observe import World, lidar_visibility
-from mast_zenoh.scenes.making.virtual_agents import vehicle
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import CleanDetector, sensor_pose
 

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from mast_ros2 import type_store
 from mast_ros2.object_messages import tracked_objects
-from mast_ros2.pose_messages import transform_message
-from mast_ros2.spatial import Transform, header, poses, upper_left
+from mast_ros2.spatial import Transform, header, poses, transform_message, upper_left
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

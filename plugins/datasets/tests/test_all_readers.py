@@ -24,9 +24,9 @@ from layouts import TWINS
 from mast_datasets import traffic
 
 import mast_zenoh as mast
-from mast_zenoh.config.scene_names import recognised
+from mast_zenoh.config.registry import recognised
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes import Scene, detection_tables
+from mast_zenoh.scenes import Scene, own_detections
 from mast_zenoh.sensing import CleanDetector
 from mast_zenoh.testing import check_scene
 
@@ -194,7 +194,7 @@ def test_scenes_beyond_the_limits_are_refused(
     read = scene(name, twins[name])
     for module, limit, message in (
         (traffic, "MAX_BOXES", "found more than 3 boxes"),
-        (detection_tables, "MAX_FILE_BYTES", r"found \d+ bytes, expected at most 3"),
+        (own_detections, "MAX_FILE_BYTES", r"found \d+ bytes, expected at most 3"),
     ):
         with monkeypatch.context() as patched:
             patched.setattr(module, limit, 3)

@@ -12,8 +12,7 @@ from mast_datasets import KittiTracking
 
 from mast_zenoh.arrays.states import CLASSES
 from mast_zenoh.errors import ConfigurationError, SceneError
-from mast_zenoh.scenes.making.assembly import assemble
-from mast_zenoh.scenes.making.virtual_agents import vehicle
+from mast_zenoh.scenes.making.assembly import assemble, vehicle
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import CleanDetector
 

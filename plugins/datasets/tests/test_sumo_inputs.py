@@ -15,7 +15,7 @@ from mast_datasets import SumoTrace, SumoTraffic, sumo_simulation
 from mast_datasets.sumo_simulation import copy_input, read_configuration
 from sumo_network import vehicle, write_network
 
-from mast_zenoh.config.scene_names import parse_scene, recognised
+from mast_zenoh.config.registry import parse_scene, recognised
 from mast_zenoh.errors import SceneError
 
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from mast_ros2 import type_store
 from mast_ros2.frame_exchange import About, AnswerTopic, FrameExchange, Timing
-from mast_ros2.frame_transforms import FrameTransforms, Placement
-from mast_ros2.names import ros2_name, topic_prefix
+from mast_ros2.liveliness_tokens import ros2_name, topic_prefix
 from mast_ros2.object_messages import detection_array, states_of, tracked_objects
 from mast_ros2.received_objects import ReceivedObjects, received_tracks
+from mast_ros2.received_poses import FrameTransforms, Placement
 from mast_ros2.type_store import RosMessage
 from mast_zenoh.arrays.states import DETECTION_COLUMNS, Detections, ObjectStates
 from mast_zenoh.errors import MessageError

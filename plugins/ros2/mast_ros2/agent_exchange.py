@@ -10,13 +10,19 @@ import numpy as np
 
 from mast_ros2 import type_store
 from mast_ros2.frame_exchange import TF, About, AnswerTopic, FrameExchange, Timing
-from mast_ros2.frame_transforms import FrameTransforms, Placement, composed
-from mast_ros2.names import ros2_name, topic_prefix
+from mast_ros2.liveliness_tokens import ros2_name, topic_prefix
 from mast_ros2.object_messages import detection_array, states_of
-from mast_ros2.pose_messages import odometry, transform_message
 from mast_ros2.received_objects import MOST_SPEED, TOO_FAST, ReceivedObjects, received_detections, received_tracks
-from mast_ros2.received_poses import POSES, ReceivedPose, received_pose, stamped_poses
-from mast_ros2.spatial import Transform
+from mast_ros2.received_poses import (
+    POSES,
+    FrameTransforms,
+    Placement,
+    ReceivedPose,
+    composed,
+    received_pose,
+    stamped_poses,
+)
+from mast_ros2.spatial import Transform, odometry, transform_message
 from mast_ros2.type_store import RosMessage
 from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_world
 from mast_zenoh.arrays.states import Detections, Floats, ObjectStates

@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from mast_ros2 import type_store
-from mast_ros2.object_ids import UUID_BYTES
-from mast_ros2.object_messages import detection_array, tracked_objects
+from mast_ros2.object_messages import UUID_BYTES, detection_array, tracked_objects
 from mast_ros2.received_objects import ReceivedObjects
 from mast_ros2.spatial import time_of
 from mast_ros2.type_store import RosMessage

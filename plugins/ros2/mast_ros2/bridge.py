@@ -11,8 +11,8 @@ from contextlib import suppress
 from itertools import chain, count
 from typing import Any
 
+from mast_ros2.liveliness_tokens import Qos
 from mast_ros2.participant import Participant, Publisher
-from mast_ros2.qos import Qos
 from mast_ros2.run_messages import MARKERS, RunMessages
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.runs.frame import Frame

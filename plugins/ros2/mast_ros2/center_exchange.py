@@ -8,10 +8,10 @@ import numpy as np
 
 from mast_ros2 import type_store
 from mast_ros2.frame_exchange import About, AnswerTopic, FrameExchange, Timing
-from mast_ros2.frame_transforms import FrameTransforms, Placement
-from mast_ros2.names import ros2_name, topic_prefix
+from mast_ros2.liveliness_tokens import ros2_name, topic_prefix
 from mast_ros2.object_messages import tracked_objects
 from mast_ros2.received_objects import ReceivedObjects, received_tracks
+from mast_ros2.received_poses import FrameTransforms, Placement
 from mast_zenoh.arrays.geometry import states_to_world
 from mast_zenoh.arrays.states import Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError

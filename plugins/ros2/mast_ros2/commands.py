@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from mast_ros2.connection import ROUTER, Connection
+from mast_ros2.mesh import ROUTER, Connection
 from mast_zenoh.cli import observers
 from mast_zenoh.cli.observers import LAST_LINE, print_line
 from mast_zenoh.cli.options import allowed_code, refuse
@@ -27,7 +27,7 @@ from mast_zenoh.run_folder import reading
 if TYPE_CHECKING:
     from mast_ros2.bridge import Ros2Bridge
     from mast_ros2.participant import Participant
-    from mast_zenoh.config.allowed_code import AllowedCode
+    from mast_zenoh.config.loading import AllowedCode
     from mast_zenoh.launch.context import RunContext
     from mast_zenoh.runs.frame import Frame
 

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from mast_ros2 import type_store
-from mast_ros2.frame_transforms import FrameTransforms, Placement
-from mast_ros2.names import check_topic
-from mast_ros2.pose_messages import clock
-from mast_ros2.received_poses import received_transforms
+from mast_ros2.liveliness_tokens import check_topic
+from mast_ros2.received_poses import FrameTransforms, Placement, received_transforms
+from mast_ros2.spatial import clock
 from mast_ros2.type_store import RosMessage
 from mast_zenoh.errors import MessageError
 from mast_zenoh.outside import Arrival, Outside, OutsideTally, OutsideTopic

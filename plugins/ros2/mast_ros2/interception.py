@@ -22,8 +22,8 @@ import numpy as np
 from mast_ros2 import type_store
 from mast_ros2.altered_objects import ALTERABLE, altered
 from mast_ros2.attachments import MessageAttachment
-from mast_ros2.connection import Connection
-from mast_ros2.names import check_topic
+from mast_ros2.liveliness_tokens import check_topic
+from mast_ros2.mesh import Connection
 from mast_ros2.participant import Participant
 from mast_ros2.received_objects import ReceivedObjects, received_tracks
 from mast_ros2.received_poses import ReceivedPose, received_pose

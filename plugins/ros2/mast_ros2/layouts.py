@@ -21,7 +21,7 @@ from mast_ros2.run_messages import (
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.runs.run import Run
-from mast_zenoh.show.export.foxglove_layout import document, from_above, scene_of, split, view_of
+from mast_zenoh.show.export.foxglove import document, from_above, scene_of, split, view_of
 from mast_zenoh.show.palette import GROUND, rgb
 
 _HEADER = "# rviz2 -d {path} --ros-args -p use_sim_time:=true\n# Times are those of the scene, on /clock.\n"

@@ -1,20 +1,26 @@
 """Objects as messages of ROS 2: Detection3DArray of vision_msgs, TrackedObjects and PredictedObjects of Autoware.
 
 What these types cannot express is left out: variances of sizes, and covariances between position and velocity.
+
+Ids of objects: our whole numbers, and the texts and UUIDs of ROS 2.
+
+Objects as a MarkerArray: boxes that RViz shows.
 """
 
 from __future__ import annotations
 
+import hashlib
+import re
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mast_ros2 import type_store
-from mast_ros2.object_ids import uuids
 from mast_ros2.spatial import duration, header, poses, turned, upper_left, vectors
 from mast_ros2.type_store import TYPES, RosMessage, package
 from mast_zenoh.arrays.geometry import rotation_from_quaternion, scalar_last_quaternions
-from mast_zenoh.arrays.states import CLASSES, Detections, Floats, ObjectStates
+from mast_zenoh.arrays.states import CLASSES, Detections, Floats, Ints, ObjectStates
 
 #: Labels of Autoware's ObjectClassification by our classes.
 AUTOWARE_LABELS: Mapping[str, int] = {
@@ -156,3 +162,95 @@ def _autoware_parts(states: ObjectStates, kinematics: list[RosMessage]) -> list[
             strict=True,
         )
     ]
+
+
+UUID_BYTES = 16
+_OWN = bytes(8)  # how our UUIDs begin: random ones do not
+_DECIMAL = re.compile(r"0|-?[1-9][0-9]{0,18}")
+_INT64 = np.iinfo(np.int64)
+
+
+def uuids(ids: Ints) -> NDArray[np.uint8]:
+    """(n, 16) bytes: eight of 0, then the id (n,), highest byte first."""
+    result = np.zeros((len(ids), UUID_BYTES), np.uint8)
+    result[:, 8:] = ids.astype(">i8").view(np.uint8).reshape(-1, 8)
+    return result
+
+
+def id_of_uuid(uuid: bytes) -> int:
+    """The id in one of our UUIDs; a number from the hash of another, equal for equal UUIDs."""
+    if uuid.startswith(_OWN):
+        return int.from_bytes(uuid[8:], "big", signed=True)
+    return _hashed(uuid)
+
+
+def id_of_text(text: str) -> int:
+    """The whole number that a text is, such as `-7`; a number from the hash of another, equal for equal texts."""
+    if _DECIMAL.fullmatch(text) and _INT64.min <= int(text) <= _INT64.max:
+        return int(text)
+    return _hashed(text.encode(errors="surrogatepass"))
+
+
+def _hashed(data: bytes) -> int:
+    """A number of 63 bits."""
+    return int.from_bytes(hashlib.blake2b(data, digest_size=8).digest(), "big") >> 1
+
+
+#: Values of constants of Marker.
+CUBE, ADD, DELETE_ALL = 1, 0, 3
+#: Of boxes: what is behind them stays visible.
+_OPACITY = 0.6
+
+_shown, _interfaces = map(package, ("visualization_msgs", "builtin_interfaces"))
+_Colour, _Image = TYPES["std_msgs/msg/ColorRGBA"], TYPES["sensor_msgs/msg/CompressedImage"]
+
+_NO_BYTES = np.zeros(0, np.uint8)
+_NOWHERE = _geometry.Pose(_geometry.Point(0.0, 0.0, 0.0), _geometry.Quaternion(0.0, 0.0, 0.0, 1.0))
+
+
+def marker_array(states: ObjectStates, colours: NDArray[np.int64], time_ns: int, frame_id: str) -> RosMessage:
+    """A MarkerArray of a box for each object, after a marker that removes those of the message before.
+
+    colours: (n, 3) red, green and blue, 0 to 255
+
+    Raises ValueError for a time that ROS cannot express.
+    """
+    of_all = header(time_ns, frame_id)
+    markers = [_marker(of_all, 0, DELETE_ALL, _NOWHERE, _geometry.Vector3(0.0, 0.0, 0.0), _Colour(0.0, 0.0, 0.0, 0.0))]
+    for number, pose, size, colour in zip(
+        states.id.tolist(),
+        poses(states.position, scalar_last_quaternions(states.yaw)),
+        vectors(states.size),
+        (colours / 255).tolist(),
+        strict=True,
+    ):
+        # ROS has 32 bits for the number
+        markers.append(_marker(of_all, number % 2**31, ADD, pose, size, _Colour(*colour, _OPACITY)))
+    return TYPES[type_store.MARKER_ARRAY](markers)
+
+
+def _marker(
+    of_all: RosMessage, number: int, action: int, pose: RosMessage, size: RosMessage, colour: RosMessage
+) -> RosMessage:
+    """A box; all fields of other markers are empty."""
+    return _shown.Marker(
+        header=of_all,
+        ns="",
+        id=number,
+        type=CUBE,
+        action=action,
+        pose=pose,
+        scale=size,
+        color=colour,
+        lifetime=_interfaces.Duration(0, 0),
+        frame_locked=False,
+        points=[],
+        colors=[],
+        texture_resource="",
+        texture=_Image(of_all, "", _NO_BYTES),
+        uv_coordinates=[],
+        text="",
+        mesh_resource="",
+        mesh_file=_shown.MeshFile("", _NO_BYTES),
+        mesh_use_embedded_materials=False,
+    )

@@ -22,11 +22,18 @@ import zenoh.ext
 
 from mast_ros2 import type_store
 from mast_ros2.attachments import MessageAttachment, gid_of, parse_attachment
-from mast_ros2.connection import Connection
-from mast_ros2.data_keys import DataKey
-from mast_ros2.liveliness_tokens import ALL_DOMAINS, EndpointToken, NodeToken, all_tokens, parse_token, tokens_of
-from mast_ros2.names import ros2_name
-from mast_ros2.qos import Qos
+from mast_ros2.liveliness_tokens import (
+    ALL_DOMAINS,
+    DataKey,
+    EndpointToken,
+    NodeToken,
+    Qos,
+    all_tokens,
+    parse_token,
+    ros2_name,
+    tokens_of,
+)
+from mast_ros2.mesh import Connection
 from mast_ros2.type_store import RosMessage
 from mast_zenoh.errors import MessageError, NotRunning
 from mast_zenoh.mesh.session import open_session

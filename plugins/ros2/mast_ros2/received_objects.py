@@ -15,8 +15,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from mast_ros2 import type_store
-from mast_ros2.object_ids import id_of_text, id_of_uuid
-from mast_ros2.object_messages import AUTOWARE_LABELS
+from mast_ros2.object_messages import AUTOWARE_LABELS, id_of_text, id_of_uuid
 from mast_ros2.spatial import MOST_METRES, frame_of, is_unit, pose_rows, time_of, turned, vector_rows
 from mast_ros2.type_store import RosMessage
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion

@@ -1,24 +1,32 @@
-"""The topics of a run in ROS 2, and the messages of its frames: those of a bag, and of the bridge."""
+"""The topics of a run in ROS 2, and the messages of its frames: those of a bag, and of the bridge.
+
+Trust in agents and objects as a DiagnosticArray, for rqt_robot_monitor and Foxglove.
+
+A ROS 2 bag with everything that the bridge publishes, except for the clock, which players make.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from mast_ros2 import type_store
-from mast_ros2.object_markers import marker_array
-from mast_ros2.object_messages import detection_array, predicted_objects, tracked_objects
-from mast_ros2.pose_messages import clock, odometry, transform_message
-from mast_ros2.spatial import Transform
-from mast_ros2.trust_messages import diagnostic_array
-from mast_ros2.type_store import RosMessage
+from mast_ros2.object_messages import detection_array, marker_array, predicted_objects, tracked_objects
+from mast_ros2.spatial import Transform, clock, header, odometry, transform_message
+from mast_ros2.type_store import TYPES, RosMessage
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.arrays.states import Floats, ObjectStates
+from mast_zenoh.integrity.base import FAULTY, STATES, SUSPENDED, TRUSTED, UNDECIDED, UNKNOWN
+from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
 from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.recorded import frames_of
 from mast_zenoh.runs.routes import POSE, TRUST
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.export.columns import AXES, WORLD, cameras, colours
@@ -151,3 +159,95 @@ class _Names:
             name += "_"
         self._taken.add(name)
         return name
+
+
+#: Levels of DiagnosticStatus.
+OK, WARN, ERROR = 0, 1, 2
+
+#: An agent about which nothing is known is no reason to warn.
+_LEVELS = {UNKNOWN: OK, TRUSTED: OK, FAULTY: WARN, UNDECIDED: WARN, SUSPENDED: ERROR}
+#: Columns of numbers about agents, and their units.
+_NUMBERS = {"mean": "", "log_odds": "", "fault_turn": " rad", "fault_delay": " s", "fault_loss": ""}
+
+_Status, _KeyValue = TYPES["diagnostic_msgs/msg/DiagnosticStatus"], TYPES["diagnostic_msgs/msg/KeyValue"]
+
+
+def diagnostic_array(trust: Body, time_ns: int, source: str) -> RosMessage:
+    """A DiagnosticArray of the columns of a `trust` message: a status for each agent, and one for all objects.
+
+    source: name of the node that judges; statuses are named `source: agent`, and `source: objects`
+
+    Raises ValueError for a time that ROS cannot express.
+    """
+    agents = [_agent(trust, row, source) for row in range(len(trust["agents"]))]
+    return TYPES[type_store.DIAGNOSTIC_ARRAY](header(time_ns, ""), [*agents, _objects(trust, source)])
+
+
+def _agent(trust: Body, row: int, source: str) -> RosMessage:
+    state, reason, name = (trust[column][row] for column in ("state", "reason", "agents"))
+    offset = " ".join(f"{value:.6g}" for value in trust["fault_offset"][row].tolist())
+    values = {column: f"{trust[column][row]:.6g}{unit}" for column, unit in _NUMBERS.items()}
+    message = STATES[state] + (f": {reason}" if reason else "")
+    return _status(_LEVELS[int(state)], f"{source}: {name}", message, name, values | {"fault_offset": f"{offset} m"})
+
+
+def _objects(trust: Body, source: str) -> RosMessage:
+    """A warning if objects are withheld, with their ids."""
+    withheld = trust["id"][trust["withheld"] == 1].tolist()
+    values = {
+        "objects": str(len(trust["id"])),
+        "contradicted": str(int((trust["contradicting"] > 0).sum())),
+        "withheld": " ".join(map(str, withheld)),
+    }
+    message = f"{len(withheld)} of {len(trust['id'])} objects withheld"
+    return _status(WARN if withheld else OK, f"{source}: objects", message, "", values)
+
+
+def _status(level: int, name: str, message: str, hardware_id: str, values: dict[str, str]) -> RosMessage:
+    return _Status(level, name, message, hardware_id, [_KeyValue(key, value) for key, value in values.items()])
+
+
+_NEVER = QosTime(2147483647, 4294967295)
+#: Of topics whose message those get that subscribe late.
+_TRANSIENT_LOCAL_PROFILE = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    _NEVER,
+    _NEVER,
+    QosLiveliness.AUTOMATIC,
+    _NEVER,
+    False,
+)
+
+
+def write(run: Run, path: Path) -> None:
+    """Write a bag as MCAP, compressed by zstd in chunks, in the folder `path`.
+
+    Times are those of the scene, from 0.
+    """
+    bag = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    messages = RunMessages(run)
+    with bag:
+        connections = {
+            topic.name: bag.add_connection(
+                topic.name,
+                topic.type_name,
+                typestore=type_store.STORE,
+                offered_qos_profiles=[_TRANSIENT_LOCAL_PROFILE] if topic.transient_local else [],
+            )
+            for topic in messages.topics
+            if topic.name != CLOCK
+        }
+
+        def send(topic: str, message: RosMessage, time_ns: int) -> None:
+            if topic in connections:
+                bag.write(connections[topic], time_ns, type_store.encode(message))
+
+        for number, frame in enumerate(frames_of(run)):
+            for topic, message in messages.transient_local() if number == 0 else ():
+                send(topic, message, frame.time_ns)
+            for topic, message in messages.of(frame):
+                send(topic, message, frame.time_ns)

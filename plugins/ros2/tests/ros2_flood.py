@@ -14,11 +14,9 @@ from typing import Any
 import numpy as np
 from mast_ros2 import type_store
 from mast_ros2.attachments import MessageAttachment
-from mast_ros2.data_keys import DataKey
-from mast_ros2.liveliness_tokens import EndpointToken, NodeToken
+from mast_ros2.liveliness_tokens import DataKey, EndpointToken, NodeToken
 from mast_ros2.object_messages import detection_array, tracked_objects
-from mast_ros2.pose_messages import transform_message
-from mast_ros2.spatial import Transform
+from mast_ros2.spatial import Transform, transform_message
 from ros2_messages import random_message, random_states
 
 from mast_zenoh.mesh.session import open_client

@@ -1,9 +1,8 @@
-"""Reads the key expressions that `ros2.data_keys` writes."""
+"""Reads the key expressions that `mast_ros2.liveliness_tokens` writes."""
 
 import re
 
-from mast_ros2.data_keys import DataKey
-from mast_ros2.names import NO_HASH, type_of_dds
+from mast_ros2.liveliness_tokens import NO_HASH, DataKey, type_of_dds
 
 from mast_zenoh.errors import MessageError
 

@@ -9,7 +9,7 @@ from mast_ros2.type_store import STORE, TYPES, decode, encode
 from rosbags.interfaces import Nodetype
 
 from mast_zenoh.arrays.states import CLASSES, ObjectStates
-from mast_zenoh.testing.outside import FakeLink
+from mast_zenoh.testing.scenarios import FakeLink
 
 #: What the conversions write and read.
 CONVERTED = (

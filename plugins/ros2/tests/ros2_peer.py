@@ -15,7 +15,7 @@ import sys
 from typing import Any
 
 import numpy as np
-from mast_ros2.definitions import DEFINITIONS
+from mast_ros2.type_store import DEFINITIONS
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber, ZenohSession
 

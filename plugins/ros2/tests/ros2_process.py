@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import pytest
-from mast_ros2.connection import Tls
+from mast_ros2.mesh import Tls
 from mast_ros2.type_store import DETECTIONS, TRACKED_OBJECTS
 
 _START_S = 60.0

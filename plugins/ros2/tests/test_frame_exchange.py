@@ -9,11 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mast_ros2 import frame_exchange
 from mast_ros2.frame_exchange import TF, TF_STATIC, About, AnswerTopic, FrameExchange, Timing
-from mast_ros2.frame_transforms import FrameTransforms, Placement
 from mast_ros2.object_messages import tracked_objects
-from mast_ros2.pose_messages import transform_message
 from mast_ros2.received_objects import ReceivedObjects, received_tracks
-from mast_ros2.spatial import Transform
+from mast_ros2.received_poses import FrameTransforms, Placement
+from mast_ros2.spatial import Transform, transform_message
 from mast_ros2.type_store import TF_MESSAGE, TRACKED_OBJECTS, decode, encode
 from ros2_messages import RosLink, random_states
 

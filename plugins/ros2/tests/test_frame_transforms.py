@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from mast_ros2 import frame_transforms
-from mast_ros2.frame_transforms import FrameTransforms, Placement, between
+from mast_ros2 import received_poses
+from mast_ros2.received_poses import FrameTransforms, Placement, between
 from scipy.spatial.transform import Rotation, Slerp
 
 from mast_zenoh.errors import MessageError
@@ -73,7 +73,7 @@ def test_between_transforms_that_are_far_apart_only_the_nearest_is_used() -> Non
 
 def test_transforms_of_another_clock_do_not_displace_those_that_come_later() -> None:
     frames = FrameTransforms("map")
-    for number in range(2 * frame_transforms.KEPT):
+    for number in range(2 * received_poses.KEPT):
         frames.add("map", "car", 1_700_000_000 * S + number, at(99.0), static=False)
     frames.add("map", "car", 7 * S, at(1.0), static=False)
     assert frames.place("car", 7 * S, 0).position[0] == 1.0
@@ -104,12 +104,12 @@ def test_unknown_frames_and_loops_are_refused() -> None:
 
 def test_memory_is_limited_and_a_frame_can_get_another_parent() -> None:
     frames = FrameTransforms("map")
-    for number in range(frame_transforms.MOST_FRAMES):
+    for number in range(received_poses.MOST_FRAMES):
         frames.add("map", f"frame_{number}", 0, at(1.0), static=True)
     with pytest.raises(MessageError, match="too many frames"):
         frames.add("map", "one_more", 0, at(1.0), static=True)
-    for number in range(10 * frame_transforms.KEPT):
+    for number in range(10 * received_poses.KEPT):
         frames.add("map", "frame_0", number, at(float(number)), static=False)
-    assert len(frames._frames["frame_0"]._times) == frame_transforms.KEPT
+    assert len(frames._frames["frame_0"]._times) == received_poses.KEPT
     frames.add("frame_1", "frame_0", 0, at(2.0), static=False)
     assert frames.place("frame_0", 0, 0).position[0] == 3.0

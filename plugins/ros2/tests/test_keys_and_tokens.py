@@ -8,10 +8,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mast_ros2 import type_store
 from mast_ros2.attachments import GID_BYTES, MessageAttachment, gid_of, parse_attachment
-from mast_ros2.data_keys import DataKey
-from mast_ros2.liveliness_tokens import ENDPOINTS, EndpointToken, NodeToken, all_tokens, parse_token
-from mast_ros2.names import NO_HASH, check_topic, dds_type, demangle, mangle
-from mast_ros2.qos import Qos
+from mast_ros2.liveliness_tokens import (
+    ENDPOINTS,
+    NO_HASH,
+    DataKey,
+    EndpointToken,
+    NodeToken,
+    Qos,
+    all_tokens,
+    check_topic,
+    dds_type,
+    demangle,
+    mangle,
+    parse_token,
+)
 from ros2_keys import parse_data_key
 from ros2_messages import CONVERTED
 

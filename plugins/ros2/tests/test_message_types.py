@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mast_ros2 import type_store
-from mast_ros2.definitions import DEFINITIONS
+from mast_ros2.type_store import DEFINITIONS
 from ros2_messages import CONVERTED, plain, random_message
 from rosbags.typesys import Stores, get_typestore
 

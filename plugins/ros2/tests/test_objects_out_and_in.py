@@ -6,11 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 from mast_ros2 import received_objects, type_store
-from mast_ros2.object_ids import id_of_text, id_of_uuid, uuids
-from mast_ros2.object_markers import marker_array
-from mast_ros2.object_messages import detection_array, predicted_objects, tracked_objects
-from mast_ros2.pose_messages import clock
+from mast_ros2.object_messages import (
+    detection_array,
+    id_of_text,
+    id_of_uuid,
+    marker_array,
+    predicted_objects,
+    tracked_objects,
+    uuids,
+)
 from mast_ros2.received_objects import received_detections, received_tracks
+from mast_ros2.spatial import clock
 from mast_ros2.type_store import TYPES
 from ros2_messages import random_message, random_states, set_to, through
 from scipy.spatial.transform import Rotation

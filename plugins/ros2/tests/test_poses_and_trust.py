@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 from mast_ros2 import received_poses, type_store
-from mast_ros2.pose_messages import clock, odometry, transform_message
 from mast_ros2.received_poses import received_pose, received_transforms, stamped_poses
-from mast_ros2.spatial import Transform
-from mast_ros2.trust_messages import diagnostic_array
+from mast_ros2.run_messages import diagnostic_array
+from mast_ros2.spatial import Transform, clock, odometry, transform_message
 from ros2_messages import random_message, set_to, through
 from scipy.spatial.transform import Rotation
 

@@ -17,8 +17,8 @@ import zenoh
 from launched import eventually
 from mast_ros2.attachments import GID_BYTES, MessageAttachment, gid_of, parse_attachment
 from mast_ros2.bridge import NODE, Ros2Bridge
-from mast_ros2.connection import Connection
 from mast_ros2.liveliness_tokens import EndpointToken, parse_token
+from mast_ros2.mesh import Connection
 from mast_ros2.participant import Participant
 from mast_ros2.type_store import STORE, decode
 from ros2_client import plain_message, ros2_router

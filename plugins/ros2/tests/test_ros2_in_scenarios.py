@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from mast_ros2 import Ros2Mesh
-from mast_ros2.connection import Connection
+from mast_ros2.mesh import Connection
 from tiny_world import tiny
 
 from mast_zenoh.config.resolved import NodeSpec

@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 from mast_ros2 import interception as ros2_interception
 from mast_ros2 import type_store
-from mast_ros2.connection import Connection
 from mast_ros2.interception import ObjectsInterposer, interposer_of, launch_fragment
+from mast_ros2.mesh import Connection
 from mast_ros2.object_messages import detection_array, tracked_objects
 from mast_ros2.participant import Participant, Publisher
-from mast_ros2.pose_messages import clock, odometry
 from mast_ros2.received_objects import received_tracks
 from mast_ros2.received_poses import ReceivedPose
+from mast_ros2.spatial import clock, odometry
 from ros2_messages import plain, random_states
 
 from mast_zenoh.errors import MessageError, NodeFileError

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from mast_ros2 import type_store
 from mast_ros2.object_messages import detection_array, tracked_objects
-from mast_ros2.pose_messages import odometry, transform_message
 from mast_ros2.received_objects import received_tracks
-from mast_ros2.spatial import Transform
+from mast_ros2.spatial import Transform, odometry, transform_message
 from ros2_messages import RosLink, random_states, through
 from tiny_world import PERIOD_NS, Bench, detections, pose, tiny
 

@@ -11,12 +11,10 @@ import zenoh
 from mast_ros2 import participant as ros2_participant
 from mast_ros2 import type_store
 from mast_ros2.attachments import MessageAttachment
-from mast_ros2.connection import Connection
-from mast_ros2.data_keys import DataKey
-from mast_ros2.liveliness_tokens import EndpointToken, NodeToken
+from mast_ros2.liveliness_tokens import DataKey, EndpointToken, NodeToken, Qos
+from mast_ros2.mesh import Connection
 from mast_ros2.participant import Participant
-from mast_ros2.pose_messages import clock
-from mast_ros2.qos import Qos
+from mast_ros2.spatial import clock
 
 from mast_zenoh.errors import ConfigurationError, NotRunning
 from mast_zenoh.mesh.session import open_client, open_router

@@ -11,10 +11,10 @@ import pytest
 import zenoh
 from mast_ros2 import participant as ros2_participant
 from mast_ros2.attachments import MessageAttachment
-from mast_ros2.connection import Connection
-from mast_ros2.data_keys import DataKey
+from mast_ros2.liveliness_tokens import DataKey
+from mast_ros2.mesh import Connection
 from mast_ros2.participant import Participant, joined
-from mast_ros2.pose_messages import clock
+from mast_ros2.spatial import clock
 from mast_ros2.type_store import CLOCK, TF_MESSAGE, encode
 from ros2_process import ADVERSARY, AGENT, Ros2Process
 from ros2_worlds import with_ros2

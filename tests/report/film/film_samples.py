@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet
 
-from mast_zenoh.show.film.look import Look
 from mast_zenoh.show.film.sheet import Sheet
+from mast_zenoh.show.film.takes import Look
 from mast_zenoh.show.film.writing import open_takes
 
 #: Number of frames of the attacked run, and the first one under attack.

@@ -18,8 +18,8 @@ import mast_zenoh as mast
 from mast_zenoh.cli.app import app
 from mast_zenoh.errors import ExportError
 from mast_zenoh.show.film import writing
-from mast_zenoh.show.film.look import Look
 from mast_zenoh.show.film.sheet import Sheet
+from mast_zenoh.show.film.takes import Look
 
 pytestmark = pytest.mark.heavy
 

@@ -10,7 +10,7 @@ import pytest
 import mast_zenoh as mast
 from mast_zenoh.errors import ConfigurationError, ExportError, MastError, RunFolderError
 from mast_zenoh.launch import liveness
-from mast_zenoh.show.film.look import Look
+from mast_zenoh.show.film.takes import Look
 from mast_zenoh.show.film.writing import open_takes, schedule
 
 INVALID: list[tuple[str, dict[str, Any], type[MastError], str]] = [

@@ -14,7 +14,7 @@ from PIL import Image
 from table_writing import write_table
 
 import mast_zenoh as mast
-from mast_zenoh.show.film.look import Look
+from mast_zenoh.show.film.takes import Look
 from mast_zenoh.show.film.writing import snapshot
 
 

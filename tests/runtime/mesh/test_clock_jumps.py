@@ -11,9 +11,8 @@ from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.launch.conclusion import on_launcher_clock, percentiles
 from mast_zenoh.launch.file_server import FileServer
 from mast_zenoh.mesh.control import files
-from mast_zenoh.mesh.control.codec import encode
+from mast_zenoh.mesh.control.codec import Signatures, encode
 from mast_zenoh.mesh.control.flow import Epoch
-from mast_zenoh.mesh.control.signatures import Signatures
 from mast_zenoh.mesh.file_client import FileClient
 from mast_zenoh.mesh.protocol.events import EpochEvent, MessageEvent
 from mast_zenoh.mesh.zenoh_process import ZenohProcess

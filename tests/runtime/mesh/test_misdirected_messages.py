@@ -21,9 +21,8 @@ from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.launch.context import Mesh
 from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.reports import Reports
-from mast_zenoh.mesh.control.codec import InvalidMessages
+from mast_zenoh.mesh.control.codec import InvalidMessages, Signatures
 from mast_zenoh.mesh.control.flow import Epoch
-from mast_zenoh.mesh.control.signatures import Signatures
 from mast_zenoh.mesh.protocol.events import EpochEvent, MessageEvent
 from mast_zenoh.mesh.zenoh_process import ZenohProcess
 from mast_zenoh.messages import codec

@@ -16,7 +16,7 @@ from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.study import definition, execution, trial, trials
-from mast_zenoh.study.choices import resolve_choice
+from mast_zenoh.study.choices import FAULTS, PLACEMENTS, place, resolve_choice
 from mast_zenoh.study.defences.breakdown import Breakdown
 from mast_zenoh.study.defences.cooperation import Cooperation
 from mast_zenoh.study.defences.drift import Drift
@@ -24,7 +24,6 @@ from mast_zenoh.study.defences.driving_matrix import DrivingMatrix
 from mast_zenoh.study.defences.field_matrix import FieldMatrix
 from mast_zenoh.study.defences.kinds import Kind, kind_of, name_of_kind
 from mast_zenoh.study.defences.matrix import NO_LIES, DefenceMatrix
-from mast_zenoh.study.defences.placements import FAULTS, PLACEMENTS, place
 
 DEFENCE = """
 from mast_zenoh.integrity import NoIntegrity

@@ -13,7 +13,7 @@ import pytest
 from defence_outcomes import outcome
 
 import mast_zenoh as mast
-from mast_zenoh.config.scene_names import parse_scene
+from mast_zenoh.config.registry import parse_scene
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.metrics.study_results import Statistic

@@ -26,7 +26,7 @@ from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import NO_LIES, undefended
 from mast_zenoh.study.defences.matrix_table import MatrixTable
 from mast_zenoh.study.defences.matrix_tables import counts_of, matrix_tables
-from mast_zenoh.study.defences.published import PUBLISHED, QUANTITIES, published_tables
+from mast_zenoh.study.defences.scoreboard import PUBLISHED, QUANTITIES, published_tables
 
 POLES, MANY = "intersection:8, 4, 0", "intersection:8, 8, 4"
 AGENTS = ("ego", "infra_1", "infra_2", "infra_3", "infra_4")

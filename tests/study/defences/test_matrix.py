@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 import mast_zenoh as mast
 from mast_zenoh.metrics.study_results import BINOMIAL, Row, Statistic
+from mast_zenoh.study.choices import by_coverage, honest_majority
 from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import MAX_AGENTS, DefenceMatrix, doubts, is_fault, panel, undefended
 from mast_zenoh.study.defences.matrix_table import MatrixTable
 from mast_zenoh.study.defences.matrix_trial import detected_lies, outnumbered, trace
-from mast_zenoh.study.defences.placements import by_coverage, honest_majority
 
 #: Lidar returns of five objects at four agents.
 POINTS = np.array([[9, 9, 9, 0], [9, 0, 0, 0], [9, 9, 0, 0], [0, 0, 9, 9], [4, 0, 0, 0]])

@@ -10,8 +10,7 @@ from launched import eventually
 from recorded_observer import RecordedObserver
 
 from mast_zenoh.runs.live.reception import LegState, WireState
-from mast_zenoh.show.page.live_server import Feed, LiveServer
-from mast_zenoh.show.page.live_view import LiveBlocks
+from mast_zenoh.show.page.live_server import Feed, LiveBlocks, LiveServer
 
 pytestmark = pytest.mark.heavy
 

@@ -10,7 +10,7 @@ from page_blocks import unpack
 from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.page.block import run_block, shown_id
-from mast_zenoh.show.page.columns import Packer
+from mast_zenoh.show.page.motion import Packer
 
 Block = tuple[dict, dict[str, NDArray[np.float64]]]
 

@@ -12,8 +12,8 @@ from functools import partial
 from typing import Any, Literal
 
 from mast_ros2.adversary_exchange import WIRE_TYPES, AdversaryExchange
-from mast_ros2.connection import Connection
 from mast_ros2.frame_exchange import Timing
+from mast_ros2.mesh import Connection
 from mast_ros2.participant import joined
 
 from mast_zenoh.mesh.hosting import main

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from equal_runs import assert_equal
 from launched import Observer, eventually
-from mast_ros2.connection import Tls
+from mast_ros2.mesh import Tls
 from ros2_process import ADVERSARY, AGENT, CENTER, Ros2Process
 from ros2_worlds import with_ros2
 

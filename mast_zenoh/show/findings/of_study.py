@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 
 from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE
 from mast_zenoh.metrics.measures import COLUMNS
-from mast_zenoh.metrics.significance import clearest, holm
 from mast_zenoh.metrics.study_results import (
     LEVEL,
     Statistic,
     StudyFacts,
     StudyRow,
     StudySeries,
+    clearest,
+    holm,
     plural,
 )
 from mast_zenoh.show.findings.words import of_study
