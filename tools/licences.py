@@ -21,6 +21,7 @@ LOCKS = {
     "requirements-dev.txt": "development, optional parts",
     "requirements-ros2.txt": "tests with ROS 2",
     "requirements-tools.txt": "lock files, releases",
+    "requirements-site.txt": "the site",
 }
 #: Packages whose metadata state no licence: from their LICENSE files.
 FROM_FILES = {"empy": "LGPL", "ros-fastcdr": "Apache-2.0", "ros-fastrtps": "Apache-2.0"}
@@ -69,11 +70,12 @@ def licence_of(distribution: Distribution) -> str:
 
 
 def installed() -> dict[str, str]:
-    """Licences by package of this environment and those within it (tools, ROS 2).
+    """Licences by package of this environment and those within it (tools, ROS 2, the site).
 
     Of a package with two versions, the one of this environment counts.
     """
     within = [str(path) for path in sorted(Path(sys.prefix).glob("*/lib/python3*/site-packages"))]
+    within.append(str(Path(sys.prefix, "site")))
     licences: dict[str, str] = {}
     for distribution in distributions(path=[*sys.path, *within]):
         name = canonical(distribution.name)
