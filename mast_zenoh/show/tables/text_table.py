@@ -119,13 +119,17 @@ class TextTable(NamedTuple):
             table = self._replace(lines=[[cell.partition("\n")[0] for cell in line] for line in self.lines])
         if not (self.groups or any("\n" in cell for line in self.lines for cell in line)):
             return Group(table._on_terminal(None))
-        widths = [
-            max(max(map(len, heading.split()), default=0), *(len(text) for cell in cells for text in cell.split("\n")))
-            for heading, *cells in zip(table._terminal_headings, *table.lines, strict=True)
-        ]
+        columns = [*zip(table._terminal_headings, *table.lines, strict=True)]
+        widths = [max(len(text) for cell in cells for text in cell.split("\n")) for cells in columns]
+        if not _fits(widths):
+            least = [max(map(len, heading.split()), default=0) for heading, *_ in columns]
+            lines = [
+                max((len(text) for cell in cells for text in cell.split("\n")), default=0) for _, *cells in columns
+            ]
+            widths = [*map(max, least, lines)]
         parts = [[*range(self.texts)]]
         for at in range(self.texts, len(widths)):
-            if parts[-1][self.texts :] and sum(widths[index] + 2 for index in (*parts[-1], at)) + 1 > _TERMINAL:
+            if parts[-1][self.texts :] and not _fits([widths[index] for index in (*parts[-1], at)]):
                 parts.append([*range(self.texts)])
             parts[-1].append(at)
         cut = (table.columns(part)._replace(title="", about="") for part in parts)
@@ -154,9 +158,12 @@ class TextTable(NamedTuple):
         )
         widths = widths or _widths(list(zip(self.headings, *self.lines, strict=True)))
         for index, (heading, width) in enumerate(zip(self._terminal_headings, widths, strict=True)):
-            result.add_column(heading, justify="left" if index == 0 else "right", width=width)
-        for line in self.lines:
-            result.add_row(*map(escape, line))
+            result.add_column(heading, justify="left" if index < max(1, self.texts) else "right", width=width)
+        for above, line in itertools.pairwise([(), *self.lines]):
+            again = self.texts > 1 and line[:1] == above[:1]  # what several lines are about is said once
+            if above and self.texts > 1 and not again:
+                result.add_section()
+            result.add_row(*map(escape, ["", *line[1:]] if again else line))
         return result
 
 
@@ -236,10 +243,15 @@ def _widths(columns: Sequence[Sequence[str]]) -> list[int]:
     """
     widths = [max(map(len, cells)) for cells in columns]
     least = [max((len(word) for cell in cells for word in cell.split()), default=0) for cells in columns]
-    while sum(widths) + 2 * len(widths) + 1 > _TERMINAL and widths != least:
+    while not _fits(widths) and widths != least:
         widest = max((index for index in range(len(widths)) if widths[index] > least[index]), key=widths.__getitem__)
         widths[widest] -= 1
     return widths
+
+
+def _fits(widths: Sequence[int]) -> bool:
+    """Whether columns of these widths fit the terminal."""
+    return sum(widths) + 2 * len(widths) + 1 <= _TERMINAL
 
 
 def wrapped(sentences: str) -> str:
