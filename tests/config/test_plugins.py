@@ -272,12 +272,12 @@ def test_short_names_of_a_plugin_are_shown_and_its_faults_named(tmp_path: Path) 
 
 def test_a_missing_plugin_is_named() -> None:
     code = (
-        "from pathlib import Path\nfrom mast_zenoh.config import plugins, registry, scene_names\n"
+        "from pathlib import Path\nfrom mast_zenoh.config import plugins, registry\n"
         "from mast_zenoh.deploy import engines\nfrom mast_zenoh.errors import PluginError\n"
         "from mast_zenoh.scenario import resolve\n"
         "from mast_zenoh.scenes import Scene\nplugins.distributions = lambda path: []\n"
         "plugins.expect({'Nudge': 'mast-roadside 1.0', 'Gentle': 'mast-ringroad 0.4'})\n"
-        "for build in (lambda: scene_names.parse_scene('av2:PATH'),\n"
+        "for build in (lambda: registry.parse_scene('av2:PATH'),\n"
         "              lambda: registry.build({'type': 'AV2Log', 'path': 'x'}, Scene, 'scene'),\n"
         "              lambda: registry.build({'type': 'Nudge'}, Scene, 'attack'),\n"
         "              lambda: engines.load('Gentle'),\n"
@@ -308,9 +308,9 @@ def test_the_errors_know_all_data_sets() -> None:
 
 def test_plugins_are_imported_for_unknown_names_only() -> None:
     code = (
-        "import sys, mast_zenoh\nfrom mast_zenoh import scenario\nfrom mast_zenoh.config import scene_names\n"
+        "import sys, mast_zenoh\nfrom mast_zenoh import scenario\nfrom mast_zenoh.config import registry\n"
         "scenario.resolve(*scenario.load('coordinated'), frames=2)\nprint('mast_datasets' in sys.modules)\n"
-        "scene_names.parse_scene('av2:x')\nprint('mast_datasets' in sys.modules)\n"
+        "registry.parse_scene('av2:x')\nprint('mast_datasets' in sys.modules)\n"
     )
     printed = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert printed.split() == ["False", "True"]
