@@ -7,7 +7,6 @@ import shutil
 import textwrap
 from importlib import import_module
 from inspect import getdoc, isroutine
-from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -37,8 +36,9 @@ def public_names() -> dict[str, list[str]]:
 
 def public_thing(module: str, name: str) -> object:
     """What a public name stands for: a module need not be imported yet."""
+    inner, _, last = f"{module}.{name}".rpartition(".")
     try:
-        return attrgetter(name)(import_module(module))
+        return getattr(import_module(inner), last)
     except AttributeError:
         return import_module(f"{module}.{name}")
 
