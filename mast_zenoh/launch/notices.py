@@ -169,12 +169,13 @@ def of_rejected(nodes: Mapping[str, Mapping[str, Any]]) -> Iterator[Finding]:
     for name, node in nodes.items():
         by_key |= _by_key(node.get("rejected") or {})
         first += [(frame, key, name, reason) for key, (frame, reason) in (node.get("first_rejected") or {}).items()]
+    if not by_key:
+        return
     found = Finding("rejected", value=by_key.total(), other=len(by_key), unit="messages")
-    if by_key and first:
+    if first:
         _, key, name, reason = min(first)
         found = replace(found, who=(name,), where=key, cause=(reason,))
-    if by_key:
-        yield found
+    yield found
 
 
 def _undelivered(wiring: Wiring, nodes: Mapping[str, Mapping[str, Any]]) -> Iterator[Finding]:

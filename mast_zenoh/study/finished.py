@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import html
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pyarrow
-from pyarrow import csv
 
 from mast_zenoh.api.runs import OpenedRun
 from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.run_folder import check_plain, read_json
 from mast_zenoh.run_folder.tables import read_arrow
-from mast_zenoh.show.compare import Comparison
+
+if TYPE_CHECKING:
+    from mast_zenoh.show.compare import Comparison
 
 #: Its folder has this file, which says how it ended.
 FILE = "study.json"
@@ -45,6 +46,8 @@ class FinishedStudy:
         """
         if self.runs:
             return self.comparison.table
+        from pyarrow import csv
+
         return csv.read_csv(self._of_trials("table.csv"))
 
     @property
@@ -52,6 +55,8 @@ class FinishedStudy:
         """The runs compared with the first; only if each configuration was run once."""
         if not self.runs:
             raise ConfigurationError(f"{self.path}: a study with trials keeps no runs: expected one without `trials`")
+        from mast_zenoh.show.compare import Comparison  # drawing libraries are slow to load
+
         baseline = ["baseline"] if "baseline" in self.runs else []
         labels = [*baseline, *(label for label in self.runs if label not in baseline)]
         return Comparison(tuple(self.runs[label] for label in labels))

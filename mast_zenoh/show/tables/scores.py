@@ -25,7 +25,7 @@ from mast_zenoh.show.tables.text_table import DASH, TextTable
 OVER_ALONE = "picture over\nego alone"
 
 
-class Score(NamedTuple):
+class ScoreRow(NamedTuple):
     """One metric of an estimate of a run; None: unknown.
 
     mean, std: mean and standard deviation over frames, or a run's value;  change: of the mean, over the reference run
@@ -58,11 +58,11 @@ class Score(NamedTuple):
         return text if self.std is None else f"{text}\n± {self.std:.2f}"
 
 
-def score_of(summary: object, measure: Quantity, run: str = "", estimate: str = "") -> Score:
+def score_of(summary: object, measure: Quantity, run: str = "", estimate: str = "") -> ScoreRow:
     """From metrics.json: {"mean", "std"}, a number, or nothing."""
     if isinstance(summary, Mapping):
-        return Score(measure, run, estimate, summary.get("mean"), summary.get("std"))
-    return Score(measure, run, estimate, float(summary) if isinstance(summary, (int, float)) else None)
+        return ScoreRow(measure, run, estimate, summary.get("mean"), summary.get("std"))
+    return ScoreRow(measure, run, estimate, float(summary) if isinstance(summary, (int, float)) else None)
 
 
 class ScoreTable(NamedTuple):
@@ -72,16 +72,16 @@ class ScoreTable(NamedTuple):
     reference: the run that changes are over; None: there is none
     """
 
-    rows: list[Score]
+    rows: list[ScoreRow]
     estimates: tuple[str, ...]
     runs: tuple[str, ...]
     reference: str | None
 
-    def score(self, key: str, run: str, estimate: str) -> Score:
+    def score(self, key: str, run: str, estimate: str) -> ScoreRow:
         """The row of a metric, a run and an estimate; without numbers where there is none."""
         wanted = (key, run, estimate)
         every = (row for row in self.rows if (row.measure.label, row.run, row.estimate) == wanted)
-        return next(every, Score(MEASURES[key], run, estimate))
+        return next(every, ScoreRow(MEASURES[key], run, estimate))
 
     def text(self, *, brief: bool = False) -> TextTable:
         """A line per metric and run, and a column per estimate. brief: main metrics, without what is over ego alone"""
@@ -123,13 +123,13 @@ def score_table(runs: Mapping[str, Run], reference: str | None = None) -> ScoreT
             for name, score in scores.items():
                 other = score_of(before.get(name, {}).get(measure.label), measure)
                 rows.append(score._replace(change=_difference(score, other)))
-            alone, picture = (scores.get(name, Score(measure)) for name in (LOCAL, PICTURE))
+            alone, picture = (scores.get(name, ScoreRow(measure)) for name in (LOCAL, PICTURE))
             std = None if picture.std is None else _spread(runs[label], agent, measure.label)
-            rows.append(Score(measure, label, OVER_ALONE, _difference(picture, alone), std))
+            rows.append(ScoreRow(measure, label, OVER_ALONE, _difference(picture, alone), std))
     return ScoreTable(rows, shown_estimates(metrics, agent), tuple(runs), reference)
 
 
-def _difference(score: Score, other: Score) -> float | None:
+def _difference(score: ScoreRow, other: ScoreRow) -> float | None:
     return None if score.mean is None or other.mean is None else score.mean - other.mean
 
 

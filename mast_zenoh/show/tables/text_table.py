@@ -120,13 +120,9 @@ class TextTable(NamedTuple):
         if not (self.groups or any("\n" in cell for line in self.lines for cell in line)):
             return Group(table._on_terminal(None))
         columns = [*zip(table._terminal_headings, *table.lines, strict=True)]
-        widths = [max(len(text) for cell in cells for text in cell.split("\n")) for cells in columns]
-        if not _fits(widths):
-            least = [max(map(len, heading.split()), default=0) for heading, *_ in columns]
-            lines = [
-                max((len(text) for cell in cells for text in cell.split("\n")), default=0) for _, *cells in columns
-            ]
-            widths = [*map(max, least, lines)]
+        widths = [max(map(_length, cells)) for cells in columns]
+        if not _fits(widths):  # headings are broken between words
+            widths = [max(map(_length, [*heading.split(), *cells]), default=0) for heading, *cells in columns]
         parts = [[*range(self.texts)]]
         for at in range(self.texts, len(widths)):
             if parts[-1][self.texts :] and not _fits([widths[index] for index in (*parts[-1], at)]):
@@ -247,6 +243,11 @@ def _widths(columns: Sequence[Sequence[str]]) -> list[int]:
         widest = max((index for index in range(len(widths)) if widths[index] > least[index]), key=widths.__getitem__)
         widths[widest] -= 1
     return widths
+
+
+def _length(cell: str) -> int:
+    """The length of the longest line of a cell."""
+    return max(map(len, cell.split("\n")))
 
 
 def _fits(widths: Sequence[int]) -> bool:

@@ -165,7 +165,6 @@ def _rows(path: Path, max_bytes: int = _MAX_BYTES) -> Iterator[tuple[int, list[s
 
 _PERIOD_NS = 100_000_000  # the benchmark has no times; its sensors run at 10 Hz
 _FILES = ("label_02", "calib", "oxts")
-_MIN_POINTS = 5
 _MAX_OCCLUSION = 1  # partly occluded; more than that is left to ray casting
 
 #: The recording car, a VW Passat (B6) estate: approximate size, and where its middle is ahead of the IMU.

@@ -17,7 +17,7 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.making.assembly import assemble, standing
 from mast_zenoh.scenes.recording import Recording
-from mast_zenoh.sensing import Camera, LidarSensor
+from mast_zenoh.sensing import LidarSensor
 
 _COOPERATIVE = "coop"
 _CALIBRATION = "calib/lidar2world"
@@ -27,7 +27,6 @@ _TIME = re.compile(r"([0-9]{1,10})(?:\.([0-9]{1,9}))?", re.ASCII)
 _LIDAR = LidarSensor(
     mount_position=np.zeros(3), elevation_min_deg=-40.0, elevation_max_deg=15.0, channels=80, max_range_m=200.0
 )
-_CAMERA = Camera(mount_position=np.zeros(3))
 
 
 @dataclass(kw_only=True, eq=False)
