@@ -1,5 +1,6 @@
 """An invalid control message is refused, counted and logged once."""
 
+import stat
 import threading
 import time
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from mast_zenoh.errors import ImplausibleCounts, ServiceDied
 from mast_zenoh.launch.context import Mesh, RunContext
 from mast_zenoh.launch.file_server import FileServer
 from mast_zenoh.launch.launcher_protocol import Report
-from mast_zenoh.launch.live_interception import InterceptionServer, seal
+from mast_zenoh.launch.live_interception import SECRET_FILE, InterceptionServer, seal
 from mast_zenoh.launch.mesh_run import MeshLauncher
 from mast_zenoh.launch.reports import Reports
 from mast_zenoh.mesh.control import CONTROLS, flow
@@ -524,6 +525,7 @@ def test_malformed_steps_leave_room_for_valid_ones(context: RunContext) -> None:
 def test_malformed_requests_leave_room_for_valid_ones(context: RunContext) -> None:
     interceptions, launcher = MagicMock(), launcher_of(context)
     server = InterceptionServer(context.folder, "mast/x", MagicMock(), interceptions, launcher)
+    assert stat.S_IMODE((context.folder / SECRET_FILE).stat().st_mode) == 0o600
     sound = Query("intercept", seal({"do": "release", "name": "eve", "wire": None}, server._secret))
     forged = [Query("intercept", payload) for payload in [*RUBBISH * 20, seal({"do": "release"}, b"guessed")]]
     for query in [*forged, sound]:

@@ -65,7 +65,7 @@ def test_any_other_payload_is_refused(payload: bytes) -> None:
     refused(NODE, "stop", payload)
 
 
-@pytest.mark.parametrize("place", range(0, 90, 7))
+@pytest.mark.parametrize("place", [0, 30, 60])
 def test_one_flipped_bit_invalidates_a_signed_message(place: int) -> None:
     payload = bytearray(SIGNERS[DRIVER].sign("epoch", b"0123456789"))
     payload[place % len(payload)] ^= 1

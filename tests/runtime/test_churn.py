@@ -12,7 +12,6 @@ from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.mesh.protocol.pacer import Timetable
 
 FRAMES = 16
-EVERYONE = ("ego", "infra_1", "adversary_1", "broker", "command_center", "coordinator")
 
 
 @cache

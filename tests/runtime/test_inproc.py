@@ -116,7 +116,7 @@ def test_a_pole_that_acts_gets_the_picture_and_changes_nothing_else() -> None:
     assert all(len(acting.messages[key]) == 12 for key in more)
 
 
-@pytest.mark.parametrize("infrastructure", [0, 1, 2, 6])
+@pytest.mark.parametrize("infrastructure", [0, 6])
 def test_runs_work_with_any_number_of_agents(infrastructure: int) -> None:
     run = played("baseline", infrastructure=infrastructure)
     agents = ["ego", *(f"infra_{i + 1}" for i in range(infrastructure))]

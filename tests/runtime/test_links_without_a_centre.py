@@ -12,11 +12,10 @@ from mast_zenoh.wiring.model import Wiring, to_text
 ALONE = ("n_mobile=0",)
 PEERS = ("peers", *ALONE)
 ALL_WIRES = (*PEERS, "relays=true", "gossip=true")
-STANDARD = (*PEERS, "codec=cpm", "rules=CpmGeneration", "awareness=true")
 CONGESTED = ("congested", *ALONE, "awareness=true", "defence=FaultOrLie")
 CENTRES = ("two_centres",)
 ON_BOARD = ("two_centres", "on_board=true")
-WORLDS = (ALL_WIRES, STANDARD, CONGESTED, CENTRES, ON_BOARD)
+WORLDS = (ALL_WIRES, CONGESTED, ON_BOARD)
 
 PARTITION = dict(type="Partition", at=0.35, until=0.75, node="infra_1")
 IMPERFECT = (

@@ -283,7 +283,7 @@ def scenario(on="agent/ego/pose"):
 """
 
 
-@pytest.mark.parametrize("key", ["agent/ego/pose", "agent/ego/trust", "scene/truth", "agent/infra_1/gossip"])
+@pytest.mark.parametrize("key", ["scene/truth", "agent/infra_1/gossip"])
 def test_a_fault_of_any_wire_is_measured_reported_and_checked(key: str) -> None:
     (folder() / "every_wire.py").write_text(EVERY_WIRE)
     run = played("every_wire.py", on=key)
