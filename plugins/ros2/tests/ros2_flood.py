@@ -16,6 +16,7 @@ from mast_ros2 import type_store
 from mast_ros2.attachments import MessageAttachment
 from mast_ros2.liveliness_tokens import DataKey, EndpointToken, NodeToken
 from mast_ros2.object_messages import detection_array, tracked_objects
+from mast_ros2.received_objects import MOST_OBJECTS
 from mast_ros2.spatial import Transform, transform_message
 from ros2_messages import random_message, random_states
 
@@ -65,7 +66,8 @@ def hostile(type_name: str, random: np.random.Generator) -> Any:
         header.stamp.sec, header.stamp.nanosec = max(-1, min(time_ns // 10**9, 2**31 - 1)), time_ns % 10**9
     for name in ("objects", "detections", "transforms"):
         if hasattr(message, name) and random.random() < 0.02:
-            setattr(message, name, getattr(message, name) * 1500)
+            few = getattr(message, name)
+            setattr(message, name, few * (1 + MOST_OBJECTS // max(1, len(few))))
     return message
 
 

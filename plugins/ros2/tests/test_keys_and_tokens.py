@@ -2,12 +2,11 @@
 
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mast_ros2 import type_store
-from mast_ros2.attachments import GID_BYTES, MessageAttachment, gid_of, parse_attachment
+from mast_ros2.attachments import GID_BYTES, MessageAttachment, parse_attachment
 from mast_ros2.liveliness_tokens import (
     ENDPOINTS,
     NO_HASH,
@@ -232,12 +231,6 @@ def test_an_attachment_that_its_bytes_cannot_hold_is_refused() -> None:
         MessageAttachment(1, 0, bytes(3)).write()
 
 
-def test_publishers_have_different_ids() -> None:
-    assert len({gid_of(token) for token in TOKENS}) == len(TOKENS)
-    assert gid_of(PUBLISHER) == gid_of(PUBLISHER)
-    assert len(gid_of(PUBLISHER)) == GID_BYTES
-
-
 @pytest.mark.parametrize(
     ("token", "reason"),
     [
@@ -323,10 +316,3 @@ def test_the_key_of_all_tokens_includes_each_of_a_domain() -> None:
     zenoh = pytest.importorskip("zenoh")
     everything = zenoh.KeyExpr(all_tokens(2))
     assert [everything.includes(zenoh.KeyExpr(token)) for token in TOKENS] == [True, True, False]
-
-
-def test_written_keys_are_key_expressions_of_zenoh() -> None:
-    zenoh = pytest.importorskip("zenoh")
-    random = np.random.default_rng(1)
-    for type_name in CONVERTED:
-        zenoh.KeyExpr(DataKey.of(int(random.integers(100)), "/mast/agent_1/tracks", type_name).write())

@@ -17,19 +17,12 @@ from mast_ros2.participant import Participant
 from mast_ros2.spatial import clock
 
 from mast_zenoh.errors import ConfigurationError, NotRunning
-from mast_zenoh.mesh.session import open_client, open_router
+from mast_zenoh.mesh.session import open_client
 from tests.support.launched import eventually
 
 DEADLINE_S = 20.0
 ONE_MESSAGE = Qos(transient_local=True, depth=1)
 USUAL = Qos()
-
-
-@pytest.fixture(scope="module")
-def router() -> Iterator[str]:
-    session, endpoint = open_router()
-    yield endpoint
-    session.close()
 
 
 @pytest.fixture

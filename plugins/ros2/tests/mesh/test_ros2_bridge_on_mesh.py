@@ -1,7 +1,6 @@
 """A running run in ROS 2: a foreign client receives every frame of real time, on secure meshes too, and may stall."""
 
 import re
-import signal
 import subprocess
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -135,16 +134,13 @@ def assert_leaves_no_layouts(output: str) -> None:
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("signals", [1, 2])
-def test_an_interrupt_ends_a_run_and_its_bridge_also_if_that_is_stuck(signals: int, launch: Launch) -> None:
+def test_an_interrupt_ends_a_run_and_its_bridge_also_if_that_is_stuck(launch: Launch) -> None:
     with ros2_router() as router:
         run = launch(*COORDINATED, "--frames", "2000", *settings_of(router))
         run.at_frame(5)
         (bridge,) = [child for child in psutil.Process(run.process.pid).children() if "ros2" in child.cmdline()]
         bridge.suspend()
-        for _ in range(signals):
-            run.process.send_signal(signal.SIGINT)
-        output = run.ended(130)
+        output = run.interrupted()
         assert not alive([bridge.pid])
         assert "has not sent the last frames" not in output
         assert_leaves_no_layouts(output)
@@ -153,14 +149,14 @@ def test_an_interrupt_ends_a_run_and_its_bridge_also_if_that_is_stuck(signals: i
 @pytest.mark.heavy
 def test_a_run_whose_bridge_is_killed_says_since_when_it_had_none(launch: Launch) -> None:
     with ros2_router() as router:
-        run = launch(*COORDINATED, "--frames", "150", *settings_of(router))
+        run = launch(*COORDINATED, "--frames", "60", *settings_of(router))
         run.at_frame(5)
         (bridge,) = [child for child in psutil.Process(run.process.pid).children() if "ros2" in child.cmdline()]
         bridge.kill()
         output = run.ended()
-    match = re.search(r"exit code -9 at frame (\d+) of 150: the run had none from then on", output)
+    match = re.search(r"exit code -9 at frame (\d+) of 60: the run had none from then on", output)
     assert match, output
-    assert 5 <= int(match[1]) < 150
+    assert 5 <= int(match[1]) < 60
     assert_leaves_no_layouts(output)
 
 

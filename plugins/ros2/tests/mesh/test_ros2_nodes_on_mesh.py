@@ -1,7 +1,6 @@
 """Nodes of ROS 2 in a process of their own take part in runs on a mesh, as in one process; also by TLS."""
 
 import json
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from ros2_process import ADVERSARY, AGENT, CENTER, Ros2Process
 from ros2_worlds import with_ros2
 
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.errors import Interrupted, NotRunning
+from mast_zenoh.errors import Interrupted
 from mast_zenoh.launch import live_interception
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.launch.replay import resolution as replay
@@ -26,13 +25,6 @@ from mast_zenoh.run_folder.recording.reader import read
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 QUIET = Path(__file__).parents[4] / "tests" / "support" / "live" / "quiet.py"
-
-
-@pytest.fixture(scope="module")
-def router() -> Iterator[str]:
-    session, endpoint = open_router()
-    yield endpoint
-    session.close()
 
 
 def played(resolved: Resolved, out: Path, **options: Any) -> Path:
@@ -126,18 +118,10 @@ def test_a_node_of_ros_that_dies_in_a_run_costs_only_its_answers(router: str, tm
     assert found["absent"][AGENT[2]].endswith("on: no node of ROS 2 is in domain 0")
 
 
-@pytest.mark.parametrize("runtime", ["mesh", "inproc"])
-def test_a_run_that_waits_for_ros_is_stopped_at_once(router: str, tmp_path: Path, runtime: str) -> None:
+def test_a_run_that_waits_for_ros_is_stopped_at_once(router: str, tmp_path: Path) -> None:
     resolved = with_ros2("agent", router, frames=3, wait_s=5.0)
     with Ros2Process("interrupts", router, *AGENT):
-        ended = launcher.run(resolved, tmp_path / "run", runtime=runtime)
+        ended = launcher.run(resolved, tmp_path / "run")
     assert isinstance(ended.error, Interrupted), ended.error
     assert ended.record["nodes"]["infra_1"]["ended"] == "ok"
     assert counts(ended.folder)["unanswered"] == 0, "a wait that the end of the run ended is not counted"
-
-
-def test_a_run_whose_router_of_ros_is_not_there_says_why(tmp_path: Path) -> None:
-    ended = launcher.run(with_ros2("agent", "tcp/127.0.0.1:1"), tmp_path / "run")
-    assert ended.error is not None
-    assert "expected a router of rmw_zenoh" in (ended.folder / "logs" / "infra_1.log").read_text()
-    assert NotRunning.exit_code == ended.record["nodes"]["infra_1"]["exit"]
