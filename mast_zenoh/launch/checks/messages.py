@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from mast_zenoh.gather import MAX_TRACK_VALUE
-from mast_zenoh.launch.checks.evidence import Check, Fate, Id, RunEvidence, SentMessage
+from mast_zenoh.launch.checks.evidence import Check, Fate, RunEvidence, SentMessage
 from mast_zenoh.links import type_number
 from mast_zenoh.wiring.model import Leg, Wire
 
@@ -227,7 +227,9 @@ def _check_publisher(wire: Wire, evidence: RunEvidence, account: _Account) -> No
 
 def _check_interposer(wire: Wire, before: Leg, leg: Leg, evidence: RunEvidence, account: _Account) -> None:
     """Compare the leg after an interposer with the leg before it."""
-    received = Counter((message.frame, message.seq) for message in evidence.sent.get(before.key, ()))
+    incoming = evidence.sent.get(before.key, ())
+    received = Counter((message.frame, message.seq) for message in incoming)
+    came = {(message.frame, message.seq): max(message.frame, message.step) for message in incoming}
     sent = Counter((message.frame, message.seq) for message in evidence.sent.get(leg.key, ()))
     account.messages += sent.total()
     node = leg.publisher.node
@@ -236,7 +238,7 @@ def _check_interposer(wire: Wire, before: Leg, leg: Leg, evidence: RunEvidence, 
     if wire.message in ("collated", "picture"):
         unreported -= evidence.broker_lag + 1  # messages about a frame may be sent some frames later
     for id_ in sorted(received.keys() - sent.keys()):
-        reason = _why_missing(id_, node, fates.get(id_, ()), unreported, evidence)
+        reason = _why_missing(came[id_], node, fates.get(id_, ()), unreported, evidence)
         if reason is None:
             frame, seq = id_
             account.problems.append(
@@ -264,9 +266,8 @@ def _check_interposer(wire: Wire, before: Leg, leg: Leg, evidence: RunEvidence, 
             account.problems.append(f"{leg.key}: sequence {id_[1]} of frame {id_[0]} has {surplus} copies too many")
 
 
-def _why_missing(id_: Id, node: str, fates: Iterable[Fate], unreported: int, evidence: RunEvidence) -> str | None:
-    """Why an interposer did not forward a message; None if unknown."""
-    frame = id_[0]
+def _why_missing(frame: int, node: str, fates: Iterable[Fate], unreported: int, evidence: RunEvidence) -> str | None:
+    """Why an interposer did not forward a message that reached it in a frame; None if unknown."""
     for fate in fates:
         if fate.name == "dropped":
             return "dropped by a link"
