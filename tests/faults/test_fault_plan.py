@@ -99,12 +99,6 @@ def test_every_message_fault_is_a_known_link_rule(fault: dict[str, Any], default
     assert isinstance(registry.build(rules[0], links.Rule, "here"), links.Rule)
 
 
-def test_any_link_rule_can_be_a_fault() -> None:
-    rule = dict(type="PoseError", yaw_std_rad=0.1)
-    planned_rule = planned(dict(type="Impair", at=1.0, node="ego", rule=rule)).rules["ego"]["up"]
-    assert planned_rule == [rule | {"at": 1.0, "until": None}]
-
-
 @pytest.mark.parametrize("name", RULES)
 def test_every_rule_of_a_link_can_be_a_fault_with_all_its_parameters(name: str) -> None:
     rule = dict(type=name, **{key: value for key, value in RULES[name].items() if key not in ("at", "until")})

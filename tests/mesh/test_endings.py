@@ -6,9 +6,7 @@ import signal
 import sys
 import threading
 from pathlib import Path
-from typing import Any
 
-import failing
 import held_back
 import psutil
 import pytest
@@ -26,20 +24,6 @@ pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
 
 #: Fewer agents than usual, because how a run ends does not depend on their number.
 BASELINE = ("baseline", "--set", "n_infrastructure=2")
-
-#: Slow enough to be interrupted midway, fast enough for a test.
-PACED = ("--mode", "realtime", "--rate", "3", "--frames", "60")
-
-
-def test_a_second_signal_ends_nodes_at_once_and_leaves_a_readable_recording(launch) -> None:
-    run: Launched = launch(*BASELINE, *PACED)
-    run.at_frame(10)
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        run.process.send_signal(number)
-    code, output = run.end()
-    assert (run.record()["status"], code) == ending("second signal while the scene is played"), output
-    assert "Traceback" not in output
-    list(read(run.out))
 
 
 def suspend(run: Launched, seconds: float) -> None:
@@ -117,34 +101,6 @@ def test_nodes_that_fill_the_disk_fail_the_run(launch, tiny_disk: Path, tmp_path
     assert "Traceback" not in output
     assert record["recording"]["complete"] is False
     list(read(tiny_disk))
-
-
-def failures(record: dict[str, Any]) -> dict[str, Any]:
-    return {name: node["failures"] for name, node in record["nodes"].items() if node["failures"]}
-
-
-def test_failures_on_a_mesh_equal_those_in_one_process_and_set_the_exit_code(launch, tmp_path: Path) -> None:
-    """Also those of a process that is killed and replaced."""
-    failing.write("attack", tmp_path)
-    path = tmp_path / "killed.py"
-    path.write_text(
-        "from attack import Fragile, scenario as attacked\n\n"
-        "def scenario():\n"
-        "    faults = [dict(type='Kill', at=0.8, node='eve', restart_after=0.2)]\n"
-        "    return attacked() | dict(faults=faults)\n"
-    )
-    run: Launched = launch(str(path), "--frames", "14", "--no-record")
-    output = run.ended(30)
-    record = run.record()
-    assert record["status"] == "handler_failures"
-    assert "HandlerFailed: handlers failed, so the numbers may be wrong:\n  eve.on_detections failed 7 times" in output
-    assert str(run.out / "logs" / "eve.log") in output
-    (entry,) = failures(record)["eve"]
-    assert (entry["count"], entry["frames"], entry["first_frame"], entry["last_frame"]) == (7, 7, 5, 13)
-    file, loaded = scenario.load(str(path), [])
-    alone = launcher.run(scenario.resolve(file, loaded, frames=14), tmp_path / "inproc", runtime="inproc")
-    assert failures(record) == failures(alone.record)
-    assert (run.out / "metrics.json").is_file(), "the results are kept as evidence"
 
 
 SILENT = {"evaluator", "recorder"}

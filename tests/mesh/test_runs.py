@@ -12,6 +12,8 @@ import pytest
 from equal_runs import run_alone
 from launched import Launched, Observer
 
+from mast_zenoh.mesh.session import open_router
+
 pytestmark = pytest.mark.mesh
 FRAMES = 12
 SHORT = ("--frames", str(FRAMES))
@@ -21,10 +23,17 @@ def metrics(folder: Path) -> bytes:
     return (folder / "metrics.json").read_bytes()
 
 
-def test_every_role_runs_in_its_own_process_with_the_metrics_of_one_process_and_plain_output(launch, tmp_path) -> None:
-    run: Launched = launch("uncoordinated", "--set", "n_infrastructure=2", *SHORT, "--seed", "3")
-    output = run.ended()
+def test_at_a_given_router_every_role_has_its_own_process_and_metrics_are_those_of_one_process(
+    launch, tmp_path
+) -> None:
+    router, endpoint = open_router()
+    with router:
+        run: Launched = launch(
+            "uncoordinated", "--set", "n_infrastructure=2", *SHORT, "--seed", "3", "--endpoint", endpoint
+        )
+        output = run.ended()
     record = run.record()
+    assert record["endpoint"] == endpoint
     roles = sorted(node["role"] for node in record["nodes"].values())
     assert roles == sorted(
         ["simulator", *["agent"] * 3, "broker", "command_center", "adversary", "adversary", "evaluator", "recorder"]
@@ -101,13 +110,3 @@ def test_a_real_time_run_keeps_pace_and_measures_its_latency(launch) -> None:
     assert all(0 < wire["p50"] <= wire["p95"] <= wire["p99"] and 0 < wire["n"] <= 40 for wire in wires.values())
     assert wires["agent/ego/pose"]["p50"] < wires["agent/ego/tracks"]["p50"] < wires["cc/picture"]["p50"]
     assert scores["agents"]["ego"]["picture"]["tp"]["mean"] > 5
-
-
-def test_an_existing_router_can_be_used(launch, tmp_path: Path) -> None:
-    from mast_zenoh.mesh.session import open_router
-
-    router, endpoint = open_router()
-    with router:
-        run: Launched = launch("baseline", "--set", "n_infrastructure=1", *SHORT, "--endpoint", endpoint)
-        run.ended()
-    assert metrics(run.out) == metrics(run_alone(tmp_path / "inproc", "baseline", "n_infrastructure=1", frames=FRAMES))

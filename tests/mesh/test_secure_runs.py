@@ -1,10 +1,9 @@
 """A secure run has the same bytes as an open one, and leaks no keys."""
 
-import os
 import stat
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -15,7 +14,6 @@ from equal_runs import assert_equal, run_alone
 from launched import MAST, Launched, eventually
 
 from mast_zenoh import scenario
-from mast_zenoh.launch.live_interception import SECRET_FILE
 from mast_zenoh.mesh.security.authority import Authority
 
 pytestmark = [pytest.mark.heavy, pytest.mark.mesh]
@@ -102,21 +100,3 @@ def test_runs_reports_and_the_cache_are_not_writable_by_others(start, tmp_path, 
     names = {path.name for path in permissions}
     assert {"run.json", "messages.mcap", "metrics.json", "report.html", "scene.npz", "broker.log", "scenes"} <= names
     assert writable_by_others(permissions) == {}
-
-
-def test_keys_of_a_secure_run_are_not_readable_by_others(start: Callable[..., Launched], tmp_path: Path) -> None:
-    run = start(*LAX, "run", "baseline", "--secure", "--mode", "realtime", "--frames", "40", "--no-report", *SMALL)
-    run.started()
-    (keys,) = Path(os.environ["TMPDIR"]).glob("mast-keys-*")
-    during = modes(keys)
-    secret = stat.S_IMODE((run.out / SECRET_FILE).stat().st_mode)
-    run.ended()
-    files = {path: mode for path, mode in during.items() if path.suffix}
-    assert {path.name for path in files} == {"ca.pem", "certificate.pem", "key.pem", "control.json"}
-    assert set(files.values()) == {0o600}
-    folders = {path: mode for path, mode in during.items() if path not in files}
-    assert {path.name for path in folders} > {"ego", "infra_1", "simulator", "broker", "command_center"}
-    assert set(folders.values()) == {0o700}
-    assert secret == 0o600
-    assert writable_by_others(modes(run.out)) == {}
-    assert not list(Path(os.environ["TMPDIR"]).glob("mast-keys-*")), "keys do not outlive their run"
