@@ -2,13 +2,11 @@
 
 import json
 import os
-import subprocess
-import sys
-from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import commands_in_process
 import pytest
 from typer.testing import CliRunner
 
@@ -21,13 +19,11 @@ from mast_zenoh.errors import BackendError, ConfigurationError, DiskFull, Engine
 from mast_zenoh.launch import liveness, run
 
 
-def up(out: Path, environment: Mapping[str, str], *words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "mast_zenoh", "deploy", "up", "baseline", "--frames", "2", "--out", str(out)]
-    environment = {**os.environ, **environment}
-    return subprocess.run([*command, *words], capture_output=True, text=True, env=environment, timeout=120, check=False)
+def up(out: Path, *words: str) -> commands_in_process.Ended:
+    return commands_in_process.command("deploy", "up", "baseline", "--frames", "2", "--out", str(out), *words)
 
 
-def test_a_missing_or_unreachable_engine_is_reported_before_anything_is_written(tmp_path: Path) -> None:
+def test_a_missing_or_unreachable_engine_is_reported_before_anything_is_written(tmp_path: Path, monkeypatch) -> None:
     docker = tmp_path / "bin" / "docker"
     docker.parent.mkdir()
     docker.write_text("#!/bin/sh\necho 'Cannot connect to the Docker daemon' >&2; exit 1\n")
@@ -36,9 +32,10 @@ def test_a_missing_or_unreachable_engine_is_reported_before_anything_is_written(
         (f"{docker.parent}:{os.environ['PATH']}", ["Docker engine cannot be reached", "Cannot connect to the Docker"]),
         (str(tmp_path), ["there is no `docker` on this machine: install docker.io"]),
     ):
-        process = up(tmp_path / "run", {"PATH": path})
-        assert process.returncode == EngineError.exit_code, process.stdout + process.stderr
-        assert all(message in process.stderr for message in messages)
+        monkeypatch.setenv("PATH", path)
+        ended = up(tmp_path / "run")
+        assert ended.code == EngineError.exit_code, ended
+        assert all(message in ended.err for message in messages)
         assert not (tmp_path / "run").exists()
 
 
@@ -68,9 +65,9 @@ def test_a_full_disk_is_reported_before_anything_is_written(tmp_path: Path, monk
 
 
 def test_an_option_unsupported_by_the_engine_is_a_usage_error(tmp_path: Path) -> None:
-    process = up(tmp_path / "run", {}, "--hosts", "hosts.toml")
-    assert process.returncode == 2
-    assert "engine compose" in " ".join(process.stderr.split())
+    ended = up(tmp_path / "run", "--hosts", "hosts.toml")
+    assert ended.code == 2
+    assert "engine compose" in " ".join(ended.err.split())
 
 
 # -- engines of users --------------------------------------------------------------------------------------------

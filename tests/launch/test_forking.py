@@ -106,6 +106,7 @@ def test_starting_a_node_raises_start_error_if_the_server_does_not_answer(
     server._socket.settimeout(0.1)
     with pytest.raises(StartError, match="does not answer"):
         started(server, tmp_path, "--help")
+    server._process.send_signal(signal.SIGCONT)
 
 
 def test_nodes_draw_different_numbers_from_numpys_global_generator(server: ForkServer, tmp_path: Path) -> None:

@@ -62,18 +62,17 @@ def pictured(run: Run) -> list[int]:
     return [message.header.frame for message in run.decoded("cc/picture", "picture")]
 
 
-@pytest.mark.parametrize("encode", [True, False])
 @pytest.mark.parametrize(
     ("frames", "by_ns", "lost", "reason"),
     [
-        *((1, by_ns, [WRONG], "time") for by_ns in (10**17, 30 * SECOND, -3 * SECOND // 2)),
+        *((1, by_ns, [WRONG], "time") for by_ns in (30 * SECOND, -3 * SECOND // 2)),
         (3, -SECOND // 2, [WRONG, WRONG + 1, WRONG + 2], "old"),
         (1, SECOND // 2, [*range(WRONG + 1, WRONG + 5)], "old"),
     ],
-    ids=["far in the future", "in the future", "in the past", "older than the newest", "ahead within the leeway"],
+    ids=["in the future", "in the past", "older than the newest", "ahead within the leeway"],
 )
-def test_a_batch_with_an_implausible_time_costs_only_pictures(tmp_path, frames, by_ns, lost, reason, encode) -> None:
-    run = Run(restamped(tmp_path, frames=frames, by_ns=by_ns), encode=encode)
+def test_a_batch_with_an_implausible_time_costs_only_pictures(tmp_path, frames, by_ns, lost, reason) -> None:
+    run = Run(restamped(tmp_path, frames=frames, by_ns=by_ns))
     assert pictured(run) == [frame for frame in range(FRAMES) if frame not in lost]
     assert run.rejected["command_center"] == {("cc/collated", reason): len(lost)}
     assert not run.failures
