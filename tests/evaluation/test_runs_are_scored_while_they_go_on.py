@@ -13,7 +13,7 @@ from mast_zenoh.evaluation import Evaluation, RunData, RunScoring, run_scoring
 from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.metrics.causes import KINDS
 
-FRAMES = 240
+FRAMES = 200
 #: Means over blocks instead of the run; and what several blocks have of every series instead of the distinct ones.
 OF_BLOCKS = {"amota", "samota", "amotp_m", "consistency"}
 
@@ -31,7 +31,7 @@ def messages_come_soon() -> Iterator[None]:
 
 
 def scored(name: str, *settings: str, frames: int) -> tuple[Results, Results]:
-    """Tables and metrics of a run, scored in blocks of 60 frames and as a whole."""
+    """Tables and metrics of a run, scored in blocks of 40 frames and as a whole."""
     path, content = scenario.load(name, list(settings))
     process = InProcess(scenario.resolve(path, content, frames=frames))
     node: Any = next(host.node for host in process.hosts.values() if host.node.role == "evaluator")
@@ -43,7 +43,7 @@ def scored(name: str, *settings: str, frames: int) -> tuple[Results, Results]:
 def in_blocks(evaluation: Evaluation, data: RunData, frames: int) -> Results:
     """The results of blocks that end while so many frames are played; 0: of one block."""
     scoring = RunScoring(evaluation, data)
-    scoring.whole_frames = scoring.block_frames = 60
+    scoring.whole_frames = scoring.block_frames = 40
     parts = [part for frame in range(frames) if (part := scoring.advance(frame))]
     assert len(parts) >= (2 if frames else 0), "expected more blocks"
     results = scoring.results()
@@ -61,7 +61,7 @@ def in_blocks(evaluation: Evaluation, data: RunData, frames: int) -> Results:
 @pytest.fixture(scope="module")
 def run() -> tuple[Results, Results]:
     """A run in which an attack begins in a later block than the first."""
-    return scored("defended", "defence=FaultOrLie", "attack_start_s=9.0", "n_infrastructure=3", frames=FRAMES)
+    return scored("defended", "defence=FaultOrLie", "attack_start_s=6.0", "n_infrastructure=3", frames=FRAMES)
 
 
 @pytest.mark.parametrize("table", ["metrics", "attacks", "trust", "trust_objects"])
