@@ -1,12 +1,9 @@
 """Random scenarios, drawn by number: every kind of wire, and lists of no, one, some and all names of agents."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-#: What a scenario is about, in turn: two numbers that differ by a multiple of their number are of one kind.
-KINDS = ("centre", "peers", "channel", "centres", "drivers", "defence")
 FRAMES = 14
 #: Several sensors of some agents, at their own times.
 _LIDAR = dict(type="Lidar", rate_hz=5.0, phase_s=0.07)
@@ -27,15 +24,6 @@ _FAULTS: dict[str, dict[str, Any]] = {
 }
 #: Faults that stop processes, by the parameter that says for how long.
 _STOPS = {"Kill": "restart_after", "Leave": "return_after", "Restart": "down_s", "Pause": "until", "Join": ""}
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A scenario: its name and settings as for `--set`, and the seed of its run."""
-
-    name: str
-    settings: tuple[str, ...]
-    seed: int
 
 
 class _Draw:
@@ -62,11 +50,11 @@ class _Draw:
         return {"none": [], "one": [self.one(*known)], "all": list(known)}[kind]
 
 
-def drawn(number: int) -> Drawn:
-    """The scenario of this number; of each kind in turn."""
+def drawn(number: int) -> tuple[str, list[str], int]:
+    """The scenario of this number, of each kind in turn: its name, settings as for `--set`, and the seed of its run."""
     draw = _Draw(number)
-    kind = KINDS[number % len(KINDS)]
-    name, settings = _BY_KIND[kind](draw)
+    kind = list(KINDS)[number % len(KINDS)]
+    name, settings = KINDS[kind](draw)
     settings |= {"n_infrastructure": draw.poles} | ({} if "n_mobile" in settings else {"n_mobile": draw.cars})
     if kind in ("centre", "peers", "centres") and draw.chance(0.5):
         several = draw.names(draw.agents) or [draw.agents[-1]]
@@ -76,7 +64,7 @@ def drawn(number: int) -> Drawn:
     others = {"peers": [f"peer_{agent}" for agent in draw.agents], "drivers": ["driver_ego"], "channel": ["channel"]}
     if faults := _faults(draw, others.get(kind, ["broker", "command_center"] if kind in ("centre", "defence") else [])):
         settings["faults"] = faults
-    return Drawn(name, tuple(f"{key}={value}" for key, value in settings.items()), int(draw.rng.integers(1000)))
+    return name, [f"{key}={value}" for key, value in settings.items()], int(draw.rng.integers(1000))
 
 
 def _faults(draw: _Draw, others: list[str]) -> list[dict[str, Any]]:
@@ -198,7 +186,8 @@ def _defence(draw: _Draw) -> tuple[str, dict[str, Any]]:
     return "defended", settings
 
 
-_BY_KIND = {
+#: What a scenario is about.
+KINDS = {
     "centre": _centre,
     "peers": _peers,
     "channel": _channel,

@@ -1,7 +1,6 @@
 """Scenarios give the same messages, results and failures on a simulated mesh as in one process."""
 
 import os
-from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +74,7 @@ def test_a_random_schedule_of_faults_gives_the_same_messages_as_in_one_process(s
 @pytest.mark.timeout(1800)  # with --fuzz
 def test_random_scenarios_of_every_kind_give_the_same_messages_as_in_one_process(fuzzing: Fuzzing) -> None:
     for number in range(fuzzing.draws(len(random_scenarios.KINDS), 60)):
-        name, settings, seed = astuple(random_scenarios.drawn(number))
+        name, settings, seed = random_scenarios.drawn(number)
         assert_equals_one_process(resolve(name, *settings, frames=random_scenarios.FRAMES, seed=seed))
 
 
