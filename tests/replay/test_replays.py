@@ -142,7 +142,7 @@ def metrics(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("place", ["agents", "simulator"])
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize("name", sorted(RUNS.keys() - {"baseline", "coordinated"}))  # these are also played with links
 def test_unchanged_nodes_compute_the_recorded_picture(
     recorded: Callable[[str], Path], tmp_path: Path, name: str, place: str
 ) -> None:
