@@ -51,7 +51,7 @@ def test_the_heat_maps_have_a_scale_and_explain_their_marks(monkeypatch: pytest.
     assert [patch.get_xy() for patch in maps.patches if patch.get_hatch()] == [(0.5, -0.5)]  # type: ignore[attr-defined]
 
 
-@pytest.mark.heavy
+@pytest.mark.usefixtures("unpainted")
 def test_defences_that_suspend_nobody_have_no_curve_and_are_named() -> None:
     caption = figures_of_defences(replace(matrix(), not_suspending=["Cad"]))["detection_delay"].caption
     assert caption.endswith("Not drawn, as they suspended nobody: Cad.")
