@@ -426,6 +426,7 @@ def test_processor_time_is_that_of_the_run_without_scene_and_evaluation(monkeypa
 
 
 @pytest.mark.heavy
+@pytest.mark.usefixtures("unpainted")
 def test_a_small_matrix_is_carried_out_and_resumed(tmp_path: Path) -> None:
     options = dict(trials=1, jobs=1, frames=10, runtime="inproc", out=tmp_path / "study")
     chosen = dict(defences="Cad", adversaries="coordinated", kinds="poles", counts=[2], attack_start_s=0.3)
