@@ -228,7 +228,7 @@ def test_a_page_of_damaged_consequences_shows_the_rest(damaged: Any, with_twin: 
     assert columns["drive.speed"].max() == pytest.approx(8.0)
 
 
-@pytest.mark.parametrize("damage", ["no twin", "another run", "no parquet", "a link"])
+@pytest.mark.parametrize("damage", ["no twin", "another run", "no table", "no parquet", "a list", "a link"])
 def test_a_twin_that_cannot_be_read_is_left_out(damage: str, with_twin: Run, tmp_path: Path) -> None:
     folder = with_twin.path / "twin"
     assert twin_course(with_twin, "ego") is not None
@@ -237,8 +237,12 @@ def test_a_twin_that_cannot_be_read_is_left_out(damage: str, with_twin: Run, tmp
         shutil.rmtree(folder)
     elif damage == "another run":
         (folder / "run.json").write_text('{"name": "mine"}')
+    elif damage == "no table":
+        (folder / "driven.parquet").unlink()
     elif damage == "no parquet":
         (folder / "driven.parquet").write_bytes(b"PAR1" * 20)
+    elif damage == "a list":
+        (folder / "run.json").write_text("[]")
     else:
         (folder / "driven.parquet").rename(tmp_path / "elsewhere.parquet")
         (folder / "driven.parquet").symlink_to(tmp_path / "elsewhere.parquet")

@@ -86,6 +86,16 @@ def test_a_frame_without_its_clock_is_not_shown(measured: Measured) -> None:
     assert measured.meter.measure(measured.record, 8, without, measured.wiring, measured.roles) is None
 
 
+def test_invalid_messages_are_counted_and_change_nothing(measured: Measured) -> None:
+    key = next(key for key in measured.meter.keys(measured.wiring) if key.endswith("ego/tracks"))
+    sound, disturbed = (
+        measured.frame(12),
+        measured.frame(12, (key, Sample(12, b"\x93rubbish")), ("stranger", Sample(12, b""))),
+    )
+    assert (sound.refused, disturbed.refused) == (0, 1)
+    assert rows(objects_of(sound), _OBJECTS) == rows(objects_of(disturbed), _OBJECTS)
+
+
 def test_a_scorer_that_is_not_on_this_machine_is_replaced_by_the_default_and_said_so(recorded: mast.Run) -> None:
     resolved = Resolved.read(recorded.path)
     resolved.nodes["evaluator"].config["scorer"] = {"type": "NobodysScorer"}

@@ -23,6 +23,7 @@ from mast_zenoh.scenes import recording as recording_module
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.show.film.takes import Take
 from mast_zenoh.show.film.writing import schedule
+from mast_zenoh.show.html import write_report
 from mast_zenoh.show.page.block import run_block
 
 pytestmark = pytest.mark.long
@@ -102,6 +103,12 @@ def test_frames_of_a_long_run_are_judged_as_those_of_a_short_one(
         assert frame.changes.sentences == other.changes.sentences
         for series, outcomes in other.outcomes.items():
             np.testing.assert_array_equal(frame.outcomes[series].code, outcomes.code)
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_the_page_of_a_long_run_says_what_it_holds(long: Path) -> None:
+    page = write_report(long).read_text("utf-8")
+    assert f"{EVERY}, scores" in page
 
 
 @pytest.mark.heavy
