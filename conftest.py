@@ -16,6 +16,7 @@ import pytest
 from fuzzing import Fuzzing
 from hypothesis import HealthCheck, settings
 from launched import Launched
+from painting import leave_unpainted
 
 # The duration of an example depends on the machine, not on the code.
 settings.register_profile("quick", deadline=None, max_examples=25, suppress_health_check=[HealthCheck.too_slow])
@@ -106,10 +107,8 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
 
 @pytest.fixture
 def unpainted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures of pages are one pixel, as painting takes most of a page's time."""
-    pixel = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + 2 * (1).to_bytes(4)
-    for kind in ("png", "svg", "pdf"):
-        monkeypatch.setattr(f"mast_zenoh.show.figures.drawing.{kind}", lambda figure: pixel)
+    """Figures of pages are one pixel."""
+    leave_unpainted(monkeypatch)
 
 
 @pytest.fixture

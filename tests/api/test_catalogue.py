@@ -133,20 +133,6 @@ def test_listings_show_defaults_units_and_descriptions() -> None:
     assert "until (s), required" in listing
 
 
-@pytest.mark.heavy
-def test_the_command_line_prints_the_same_listings() -> None:
-    def printed(*words: str) -> str:
-        done = CliRunner().invoke(app, ["list", *words])
-        assert done.exit_code == 0, done.output
-        return done.output
-
-    everything = " ".join(printed().split())
-    for kind in KINDS:
-        assert printed(kind).strip() == str(mast.list(kind)).strip()
-        assert f"{kind}: {', '.join(mast.list(kind).names)}" in everything
-    assert printed("attacks", "ConflictSelection").strip() == str(mast.list("attacks")["ConflictSelection"])
-
-
 def test_message_types_are_listed_with_dtypes_shapes_and_units() -> None:
     printed = str(mast.list("messages")["detections"])
     assert re.search(r"position: float64.*3", printed)

@@ -97,11 +97,3 @@ def test_an_interrupted_run_names_its_folder_and_no_option(tmp_path: Path, monke
         mast.run("baseline", frames=4, out=tmp_path / "run", **SMALL)
     (note,) = stopped.value.__notes__
     assert f"{tmp_path / 'run'}: read" in note
-
-
-@pytest.mark.mesh
-def test_the_same_scenario_runs_as_processes(attacked: mast.Run, tmp_path: Path) -> None:
-    parameters = dict(n_infrastructure=2, n_adversaries=1, attack_start_s=2.0)
-    run = mast.run("uncoordinated", frames=60, seed=3, runtime="mesh", out=tmp_path / "run", **parameters)
-    assert len({node["pid"] for node in run.record["nodes"].values()}) > 5
-    assert compare(attacked.path, run.path).first is None

@@ -278,7 +278,7 @@ def test_colluding_adversaries_insert_the_same_object_and_hide_the_same_ones() -
     assert same > 0.9 * both
 
 
-@pytest.mark.parametrize("attack", ["Mimic", "Sleeper", "Collusion", "PairedDenial", "PretendBenign", "OpenDispute"])
+@pytest.mark.parametrize("attack", ["Mimic", "PairedDenial"])
 def test_attackers_that_hear_picture_and_trust_play_the_whole_run(attack: str) -> None:
     run = played(attack, "trust")
     assert not run.failures

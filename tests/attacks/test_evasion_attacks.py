@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from attack_worlds import at, world
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from plaza import Played, plaza, trust_in, within
 
@@ -147,6 +147,7 @@ def lying(attack: PretendBenign, frames: int, trust: Any = None, known: Surround
     return result
 
 
+@settings(max_examples=12)
 @given(st.floats(0.3, 8.0), st.floats(0.05, 0.8))
 def test_bursts_are_as_short_and_pauses_as_long_as_the_memory_asks(memory_s: float, duty: float) -> None:
     lies = np.array(lying(PretendBenign(attack=HideAll(), memory_s=memory_s, duty=duty, start_s=1.0), 400))

@@ -109,8 +109,9 @@ def test_the_number_of_adversaries_counts_the_ego_if_it_is_compromised(name: str
         scenario.load(name, n_adversaries=6, compromised="ego")
 
 
-@pytest.mark.parametrize("attack", ["Late", "PassedOn"])
-@pytest.mark.parametrize("name", ["defended", "defence_cell", "driving"])
+@pytest.mark.parametrize(
+    ("name", "attack"), [("defended", "Late"), ("defended", "PassedOn"), ("defence_cell", "Late"), ("driving", "Late")]
+)
 def test_an_attack_begins_at_its_own_time_unless_the_user_sets_another(tmp_path: Path, name: str, attack: str) -> None:
     file = tmp_path / "late.py"
     file.write_text(LATE)

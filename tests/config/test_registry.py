@@ -99,11 +99,13 @@ def test_importing_a_base_makes_all_shipped_subclasses_available(package: str) -
             if ours and cls.__base__.__module__.startswith(f"mast_zenoh.{package}."):
                 defined[cls.__module__] = cls.__base__
     assert defined
-    for base in set(defined.values()):
+    bases_by_place: dict[str, dict[str, str]] = {}
+    for module, base in defined.items():
         public = hasattr(importlib.import_module(f"mast_zenoh.{package}"), base.__name__)
-        place = f"mast_zenoh.{package}" if public else base.__module__
-        modules = {module for module in defined if defined[module] is base}
-        code = f"from {place} import {base.__name__}; import sys; print(*{modules} - sys.modules.keys())"
+        bases_by_place.setdefault(f"mast_zenoh.{package}" if public else base.__module__, {})[module] = base.__name__
+    for place, bases in bases_by_place.items():
+        names = ", ".join(sorted(set(bases.values())))
+        code = f"from {place} import {names}; import sys; print(*{set(bases)} - sys.modules.keys())"
         assert not subprocess.run([sys.executable, "-c", code], check=True, capture_output=True).stdout.strip()
 
 

@@ -250,7 +250,7 @@ def tracking_by_hand(block: Block, folder: Path) -> None:
 
 def simulated_run(block: Block, folder: Path) -> None:
     printed: list[Any] = []
-    fewer = block.content.replace("schedules=20", "schedules=4").replace("range(20)", "range(4)")
+    fewer = block.content.replace("schedules=20", "schedules=2").replace("range(20)", "range(2)")
     names = executed(block._replace(content=fewer), print=printed.append)
     for test in [value for name, value in names.items() if name.startswith("test_")]:
         test()

@@ -5,12 +5,15 @@ import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import mast_zenoh
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "mast_zenoh"
 MODULES = sorted([*PACKAGE.rglob("*.py"), *(ROOT / "nodes").glob("*.py")])
+EXTENSIONS = [*PACKAGE.rglob("*.pyx")]
+FOLDERS = [path for path in [PACKAGE, *PACKAGE.rglob("*")] if path.is_dir()]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*.md")])
 
 #: Folders from which texts name files.
@@ -39,9 +42,12 @@ FOREIGN = {
 
 def docstrings(path: Path) -> Iterator[str]:
     """All docstrings of a file."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    nodes: list[Any] = [ast.parse(path.read_text(encoding="utf-8"))]
+    while nodes:
+        node = nodes.pop()
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             yield ast.get_docstring(node) or ""
+        nodes += getattr(node, "body", ())
 
 
 @cache
@@ -60,8 +66,8 @@ def classes_of(path: Path) -> frozenset[str]:
 @cache
 def named(name: str) -> tuple[Path, ...]:
     """Modules and packages of this name, and modules that define such a class."""
-    folders = [path for path in [PACKAGE, *PACKAGE.rglob("*")] if path.is_dir() and path.name == name]
-    files = [path for path in [*MODULES, *PACKAGE.rglob("*.pyx")] if path.stem == name]
+    folders = [path for path in FOLDERS if path.name == name]
+    files = [path for path in [*MODULES, *EXTENSIONS] if path.stem == name]
     return (*folders, *files, *(path for path in MODULES if name in classes_of(path)))
 
 

@@ -4,17 +4,10 @@ import plain_boxes as plain
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from integrity_batches import batch
-from test_robosac import AGENTS
 
 from mast_zenoh.integrity import Batch, Pasac
 from mast_zenoh.integrity.base import SUSPENDED
 from mast_zenoh.integrity.pasac import AdaptiveThreshold
-
-
-def admitted(stage: Pasac, each: Batch) -> set[str]:
-    state = stage.assess(each).agents.state
-    return {name for name, value in zip(each.agents, state.tolist(), strict=True) if value != SUSPENDED}
 
 
 class Transcribed:
@@ -116,12 +109,3 @@ def test_the_threshold_is_that_of_the_transcribed_method(batches: list[tuple[lis
         threshold.end_batch(scores, any_admitted)
         expected.end(scores, any_admitted)
         assert threshold.value == pytest.approx(expected.threshold)
-
-
-@pytest.mark.parametrize("adaptive", [True, False])
-@pytest.mark.parametrize(("others", "checks"), [(0, 0), (1, 1), (2, 2), (3, 4), (4, 6)])
-def test_a_batch_of_agents_that_agree_has_as_many_checks_as_the_page_says(adaptive, others, checks):
-    agents = ("ego", *AGENTS[:others])
-    stage = Pasac(adaptive=adaptive)
-    stage.assess(batch([(name, 0, (9.0, 9.0)) for name in agents], agents))
-    assert stage.facts()["checks"] == checks

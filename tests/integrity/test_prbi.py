@@ -13,7 +13,7 @@ from scipy.stats import t as student
 
 from mast_zenoh.integrity import Batch, Prbi, sightings
 from mast_zenoh.integrity.base import SUSPENDED
-from mast_zenoh.integrity.prbi import MAX_GAP_S, estimated, has_settled, posterior
+from mast_zenoh.integrity.prbi import MAX_GAP_S, has_settled, posterior
 from mast_zenoh.streams import stream
 
 AGENTS = ("a", "b", "c", "d", "e")
@@ -61,17 +61,6 @@ def test_the_probability_is_bayes_rule_with_counted_shares(groups, before, short
             without = [members for members, _ in groups if not members[j]]
             likelihood = (sum(not m[j] for m in abnormal) + evidence) / (len(without) + 1)
             assert found[j] == pytest.approx(min(likelihood * prior / evidence, 1.0))
-
-
-@given(outcomes=st.lists(st.booleans(), max_size=40))
-def test_the_number_of_attackers_follows_from_the_share_of_normal_groups(outcomes: list[bool]) -> None:
-    found = estimated([(frozenset(), normal) for normal in outcomes])
-    if not outcomes:
-        assert found == 0.0
-    elif any(outcomes):
-        assert 2.0**-found == pytest.approx(sum(outcomes) / len(outcomes))
-    else:
-        assert found == pytest.approx(log2(2 * len(outcomes)))
 
 
 @given(

@@ -1,4 +1,4 @@
-"""Folders and records of a small synthetic run, by attack."""
+"""Folders and records of a small synthetic run, by attack; figures that are kept."""
 
 import shutil
 from collections.abc import Callable
@@ -10,6 +10,8 @@ import pytest
 from run_samples import edit, write_run
 
 from mast_zenoh.runs.run import Run
+from mast_zenoh.show.figures import facets
+from mast_zenoh.show.figures.style import Figure
 
 
 @pytest.fixture(scope="session")
@@ -42,3 +44,17 @@ def run_of(run_folder: Callable[..., Path]) -> Callable[..., Run]:
 def three_runs(run_folder: Callable[..., Path]) -> dict[str, Path]:
     """The folders of the three runs of the case study by label."""
     return {attack or "baseline": run_folder(attack) for attack in ("", "uncoordinated", "coordinated")}
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """The figures that are drawn from now on."""
+    figures: list[Figure] = []
+
+    class Kept(Figure):
+        def __init__(self, *arguments: object, **options: object) -> None:
+            super().__init__(*arguments, **options)  # type: ignore[arg-type]
+            figures.append(self)
+
+    monkeypatch.setattr(facets, "Figure", Kept)
+    return figures

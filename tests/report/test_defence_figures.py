@@ -11,7 +11,6 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
 from mast_zenoh.metrics.study_results import BINOMIAL, Statistic
-from mast_zenoh.show.figures import facets
 from mast_zenoh.show.figures.plots import LOG_ODDS, draw_agent, legend, trust_figure
 from mast_zenoh.show.figures.style import Figure
 from mast_zenoh.show.palette import ADVERSARY_ON_LIGHT
@@ -30,28 +29,20 @@ def test_every_figure_is_drawn_and_names_the_worst_adversary_in_words() -> None:
 
 
 @pytest.mark.usefixtures("unpainted")
-def test_the_heat_maps_have_a_scale_and_explain_their_marks(monkeypatch: pytest.MonkeyPatch) -> None:
-    figures: list[Figure] = []
-
-    class Kept(Figure):
-        def __init__(self, *arguments: object, **options: object) -> None:
-            super().__init__(*arguments, **options)  # type: ignore[arg-type]
-            figures.append(self)
-
-    monkeypatch.setattr(facets, "Figure", Kept)
+def test_the_heat_maps_have_a_scale_and_explain_their_marks(drawn: list[Figure]) -> None:
     whole = matrix()
     silent = {"attacked": Statistic(0.0, 0.0, 0.1, 48, 0, BINOMIAL)}
     rows = [*(each for each in whole.rows if (each.of["defence"], each.of["attack"]) != ("Wall", "Ghost"))]
     figures_of_defences(replace(whole, rows=[*rows, row("Wall", "Ghost", **silent)]))
-    maps, scale = figures[0].axes
+    maps, scale = drawn[0].axes
     assert scale.get_xlabel() == "wrong objects added per frame"
-    key = figures[0].texts[0].get_text().replace("\n", " ")
+    key = drawn[0].texts[0].get_text().replace("\n", " ")
     assert key.startswith("Italic: the 95")
     assert "Hatched: the adversaries" in key
     assert [patch.get_xy() for patch in maps.patches if patch.get_hatch()] == [(0.5, -0.5)]  # type: ignore[attr-defined]
 
 
-@pytest.mark.heavy
+@pytest.mark.usefixtures("unpainted")
 def test_defences_that_suspend_nobody_have_no_curve_and_are_named() -> None:
     caption = figures_of_defences(replace(matrix(), not_suspending=["Cad"]))["detection_delay"].caption
     assert caption.endswith("Not drawn, as they suspended nobody: Cad.")

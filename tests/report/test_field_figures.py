@@ -7,26 +7,11 @@ import pytest
 from field_samples import SCENES, field
 from matplotlib.axes import Axes
 
-from mast_zenoh.show.figures import facets
 from mast_zenoh.show.figures.style import Figure
 from mast_zenoh.study.defences.matrix_figures import harm_by_scene
 
 DEFENCES = ("KOfN", "SequentialConsistency", "Robosac", "Cad")
 ATTACKS = ("coordinated", "BlindAreaConfusion", "Flood")
-
-
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """The figures that are drawn from now on."""
-    figures: list[Figure] = []
-
-    class Kept(Figure):
-        def __init__(self, *arguments: object, **options: object) -> None:
-            super().__init__(*arguments, **options)  # type: ignore[arg-type]
-            figures.append(self)
-
-    monkeypatch.setattr(facets, "Figure", Kept)
-    return figures
 
 
 def panels(figure: Figure) -> list[Axes]:

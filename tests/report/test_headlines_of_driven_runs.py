@@ -125,6 +125,7 @@ def test_braking_by_the_rule_is_not_told_as_what_the_driver_did(driven: Driven) 
     assert '<h2 id="driving">What it would mean for driving</h2>\n<div' in write_page(run, reference=twin).read_text()
 
 
+@pytest.mark.heavy
 def test_the_tables_of_a_driven_run_fit_a_screen_of_1400_px(driven: Driven) -> None:
     run, twin = driven()
     shares = {f"{kind}_brake_share{by}": 0.448 for kind in ("needless", "missed") for by in ("", "_attack")}

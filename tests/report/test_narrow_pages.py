@@ -39,6 +39,7 @@ def test_a_study_fits_500_px_and_paper(three_runs: dict[str, Path], tmp_path: Pa
         paper.close()
 
 
+@pytest.mark.heavy
 def test_a_study_with_many_files_and_achievements_fits_500_px_and_paper(tmp_path: Path) -> None:
     achieved = {StudySeries("all", "achieved", f"share_of_number_{number}"): estimate(0.5) for number in range(24)}
     scores = {

@@ -1,6 +1,5 @@
 """Reports of faulted runs show faults, causes and checks; others none."""
 
-import io
 import itertools
 import json
 import re
@@ -12,13 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console
 from run_samples import edit
 from table_writing import write_table
 
 from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.runs.run import Run
-from mast_zenoh.show import terminal
 from mast_zenoh.show.figures.over_time import causes_over_time, counts_over_time
 from mast_zenoh.show.figures.timeaxis import Band, bands, lanes, place_bands
 from mast_zenoh.show.html import write_report
@@ -180,9 +177,3 @@ def test_missing_metrics_have_no_row() -> None:
     (line,) = cause_table({"run": {"agents": {"ego": {"picture": {"fn_split": nothing, "fp_split": nothing}}}}}).lines
     assert line == ("ego", *[DASH] * 6)
     assert [table.lines for table in latency_tables({"latency_ms": {"sim_to_picture": {"p50": 1.0}}})] == [[], [], []]
-
-
-def shown(*folders: Path) -> str:
-    console = Console(width=80, record=True, file=io.StringIO())
-    terminal.show(console, {folder.name: folder for folder in folders})
-    return console.export_text()

@@ -75,6 +75,7 @@ def test_figures_are_reproducible_and_state_their_sample(monkeypatch: pytest.Mon
     rows = [BASELINE, *grid("a", n=(1, 2), fp=(1.0, 5.0, 20.0)), *grid("b", n=(1, 2, 3, 4), fp=(1.0, 2.0, 5.0, 9.0))]
     drawn = []
     pictures = study._draw
+    monkeypatch.setattr("mast_zenoh.show.figures.drawing.pdf", lambda figure: b"%PDF")  # which takes as long again
     monkeypatch.setattr(study, "_draw", lambda *words: drawn.append(pictures(*words)) or drawn[-1])
     first, again = figures_over_trials(rows, facts(rows)), figures_over_trials(rows, facts(rows))
     assert list(first) == ["increments", "increments_mission", "success"]

@@ -82,6 +82,7 @@ def written(path: Path, text: str, after: str = "time") -> Path:
     return path
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_a_figure_follows_the_section_that_it_names(run_folder: Folder, tmp_path: Path) -> None:
     folder, file = run_folder(), written(tmp_path / "mine.py", FIGURES, "nodes")
     done = CliRunner().invoke(app, ["report", str(folder), "--figures", str(file)])

@@ -64,9 +64,7 @@ def test_a_broken_file_is_refused_by_name(recording: Recording, tmp_path: Path, 
     ("change", "reason"),
     [
         ({"period_ns": 0}, r"period_ns.*0.*positive"),
-        ({"times_ns": np.array([100, 100])}, r"frame 1.*0"),
         ({"points": np.zeros((3, 1), np.int32)}, r"shape \(3, 1\)"),
-        ({"truth_start": np.array([0, 2, 2])}, "offsets of truth"),
         ({"detection_start": np.array([0, 2, 1, 1, 3])}, "offsets of detections"),
         ({"agent_position": np.full((2, 2, 3), np.nan)}, r"agent_position\[0.*0\].*nan"),
         ({"buildings": (np.zeros((2, 2)), np.zeros((3, 2)))}, r"buildings\[0\] has shape"),
@@ -76,12 +74,6 @@ def test_a_broken_file_is_refused_by_name(recording: Recording, tmp_path: Path, 
 def test_an_invalid_recording_is_refused_with_the_reason(recording: Recording, change: dict, reason: str) -> None:
     with pytest.raises(SceneError, match=rf"by hand: .*{reason}"):
         replace(recording, **change).validate()
-
-
-def test_two_rows_of_one_object_in_a_frame_are_refused(recording: Recording) -> None:
-    recording.validate()
-    with pytest.raises(SceneError, match=r"frame 0.*truth"):
-        replace(recording, truth=recording.truth.with_(id=np.array([7, 7, 7]))).validate()
 
 
 def test_a_prepared_scene_that_claims_more_rows_than_memory_holds_is_refused(recording, tmp_path):

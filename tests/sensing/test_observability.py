@@ -92,7 +92,7 @@ def street(random: np.random.Generator, snap: bool) -> tuple[PlacedSensor, Walls
     numbers = random.permutation(n + false)
     states = ObjectStates.of(position, id=numbers, size=size, yaw=yaw, velocity=np.zeros_like(position))
     lidar = LidarSensor() if random.random() < 0.5 else LidarSensor.infrastructure()
-    lidar = LidarSensor(azimuth_step_deg=0.7, channels=9) if random.random() < 0.1 else lidar
+    lidar = LidarSensor(azimuth_step_deg=0.7, channels=9) if random.random() < 0.8 else lidar
     turned = rotation_from_yaw_pitch(random.uniform(-4, 4), random.uniform(-0.2, 0.6))
     height = random.choice([1.0, 1.8, 6.0])
     own = int(random.integers(-1, n + 1))

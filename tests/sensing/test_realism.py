@@ -10,6 +10,7 @@ from mast_zenoh.sensing import DetectionModel, LidarSensor, to_world
 from mast_zenoh.streams import stream
 
 
+@pytest.mark.heavy
 def test_errors_last_as_real_ones_do() -> None:
     measured = measure([Intersection(scene_index=junction).record(0, 120) for junction in range(5)])
     for name, low, high in (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from painting import leave_unpainted
 from small_study import write_small
 
 from mast_zenoh.study import definition, trials
@@ -16,4 +17,6 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> definition.Study:
 @pytest.fixture(scope="session")
 def whole(small: definition.Study, tmp_path_factory: pytest.TempPathFactory) -> trials.StudyResult:
     """The study, run in this process without interruption, with the recorded run of each trial."""
-    return trials.run(small, tmp_path_factory.mktemp("whole") / "out", count=2, record=True)
+    with pytest.MonkeyPatch.context() as patch:
+        leave_unpainted(patch)
+        return trials.run(small, tmp_path_factory.mktemp("whole") / "out", count=2, record=True)

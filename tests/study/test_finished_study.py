@@ -22,6 +22,7 @@ def test_a_study_of_trials_is_opened_with_its_tables(whole: trials.StudyResult) 
     assert str(opened) == (whole.out / "table.md").read_text()
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_a_study_of_single_runs_is_opened_with_its_runs(tmp_path: Path) -> None:
     (file := tmp_path / "single.py").write_text(SMALL.replace("trials=trials,", ""))
     made = mast.study(str(file), out=tmp_path / "out", frames=4)

@@ -11,7 +11,7 @@ import pytest
 from mast_zenoh.errors import HandlerFailed
 from mast_zenoh.study import definition, interface, trials
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.heavy, pytest.mark.usefixtures("unpainted")]
 
 STUDY = """
 def study():

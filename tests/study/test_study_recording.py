@@ -14,7 +14,7 @@ from mast_zenoh.run_folder.recording.reader import file_of
 from mast_zenoh.study import definition, interface, trials
 from mast_zenoh.study.store import Store
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.heavy, pytest.mark.usefixtures("unpainted")]
 
 
 @pytest.fixture

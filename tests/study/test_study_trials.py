@@ -24,7 +24,7 @@ from mast_zenoh.study import definition, execution, trial, trials
 from mast_zenoh.study.store import Store
 from mast_zenoh.study.trial import Trial, TrialOutcome
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.heavy, pytest.mark.usefixtures("unpainted")]
 
 OWN = """
 from mast_zenoh.config import bundle, loading

@@ -17,8 +17,7 @@ def refused(message: str, target: Path | str, **words: Any) -> None:
         view.view(str(target), **words)
 
 
-@pytest.mark.parametrize(("viewer", "name"), [("foxglove", "foxglove"), ("rerun", "rrd")])
-@pytest.mark.parametrize("more", [(), ("--attached",)])
+@pytest.mark.parametrize(("viewer", "name", "more"), [("foxglove", "foxglove", ()), ("rerun", "rrd", ("--attached",))])
 def test_servers_for_other_viewers_are_refused_with_what_serves_instead(
     viewer: str, name: str, more: tuple[str, ...], tmp_path: Path
 ) -> None:

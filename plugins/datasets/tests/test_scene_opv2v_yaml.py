@@ -24,7 +24,7 @@ NUMBER = st.integers(-(10**8), 10**8) | st.floats(-1e8, 1e8)
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"{chr(k + 1)}: &{chr(k + 1)} [{', '.join([f'*{chr(k)}'] * 10)}]\n" for k in range(ord("a"), ord("i"))
 )
-OPTIONS = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+OPTIONS = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def value(tmp_path: Path, text: str | bytes) -> Any:
@@ -153,7 +153,7 @@ def test_a_large_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         read_yaml(tmp_path / "nowhere.yaml")
 
 
-@OPTIONS
+@settings(OPTIONS, max_examples=150)
 @given(st.text(alphabet="[]{},:-?&*!|>'\"%@#ab1. \n", max_size=40) | st.binary(max_size=40))
 def test_any_content_is_read_or_refused(tmp_path: Path, content: str | bytes) -> None:
     with contextlib.suppress(SceneError):

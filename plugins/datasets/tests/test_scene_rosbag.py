@@ -422,6 +422,12 @@ def test_a_map_that_names_its_bag_is_a_scene(tmp_path: Path) -> None:
     assert scene.inputs() == (tmp_path / "alone.db3", tmp_path / "alone.toml"), "a changed map is not in the cache"
 
 
+@pytest.fixture(scope="module")
+def detected(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A bag with poses of an ego and one detection."""
+    return bag(tmp_path_factory.mktemp("detected"), *straight(), *detections_at(FRAME))
+
+
 EGO = bag_map()["agents"]["ego"]
 
 
@@ -461,9 +467,9 @@ DETECTIONS = [
         *((with_detections(**entries), message) for entries, message in DETECTIONS),
     ],
 )
-def test_a_map_that_cannot_be_is_refused_with_its_place(entries: dict[str, Any], message: str, tmp_path: Path) -> None:
+def test_a_map_that_cannot_be_is_refused_with_its_place(entries: dict[str, Any], message: str, detected: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
-        play(tmp_path, [*straight(), *detections_at(FRAME)], topics=bag_map(**entries))
+        RosBag(path=detected, topics=bag_map(**entries)).record(0, None)
 
 
 PAGE = Path(__file__).parents[3] / "docs" / "scenes_rosbag.md"

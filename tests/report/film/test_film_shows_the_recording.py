@@ -25,7 +25,7 @@ def centres(outlines: object) -> np.ndarray:
     return drawn[np.lexsort(drawn.T)]
 
 
-@pytest.mark.parametrize(("agent", "estimate"), [("ego", "picture"), ("infra_1", "local"), ("ego", "mission")])
+@pytest.mark.parametrize(("agent", "estimate"), [("ego", "picture"), ("infra_1", "local")])
 def test_every_box_is_drawn_where_it_was_scored_in_the_colour_of_its_outcome(
     attacked: mast.Run, agent: str, estimate: str
 ) -> None:

@@ -172,6 +172,7 @@ def test_all_agents_but_the_ego_have_a_pole_or_a_car() -> None:
 
 
 @pytest.mark.heavy
+@pytest.mark.usefixtures("unpainted")
 def test_a_small_study_with_different_numbers_of_agents_is_carried_out(tmp_path: Path) -> None:
     settings = dict(agents=(2, 3), shares=(0.0, 0.6), adversaries="coordinated", attack_start_s=0.3)
     options = dict(trials=1, jobs=1, frames=14, out=tmp_path / "study", scenes="intersection:60")

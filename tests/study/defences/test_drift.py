@@ -233,6 +233,7 @@ def test_calibration_data_are_refused(name: str) -> None:
         trials.plan(study.chosen(seed=0, frames=8, runtime="inproc"), count=1)
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_a_small_study_is_carried_out(tmp_path: Path) -> None:
     settings = dict(scenes="intersection:60", agents=(3,), offsets_m=(1.0,), rates_mps=(), attack_start_s=0.5)
     finished = mast.study("drift", trials=1, jobs=1, frames=20, out=tmp_path / "study", **settings)  # type: ignore[arg-type]

@@ -309,14 +309,6 @@ def test_a_single_number_of_adversaries_is_a_bound_without_interpolation() -> No
     assert "false alarms that happen anyway break nothing" in summary.about
 
 
-def test_equal_seeds_have_a_breakdown_without_an_interval() -> None:
-    played = NOTHING | {ghosts("Cad", liars): always(fp=9.0 * (liars == 2), liars=liars) for liars in (1, 2)}
-    played |= {ghosts("NoIntegrity", liars): always(fp=1.0, liars=liars) for liars in (1, 2)}
-    (of_cad,) = (each for each in collected(played).breakdowns if (each.of["scene"], each.of["defence"]) == ("", "Cad"))
-    assert of_cad["breaks_at"].value == 1.5
-    assert math.isnan(of_cad["breaks_at"].low)
-
-
 # -- published figures -------------------------------------------------------------------------------------------------
 
 
@@ -434,6 +426,7 @@ def test_processor_time_is_that_of_the_run_without_scene_and_evaluation(monkeypa
 
 
 @pytest.mark.heavy
+@pytest.mark.usefixtures("unpainted")
 def test_a_small_matrix_is_carried_out_and_resumed(tmp_path: Path) -> None:
     options = dict(trials=1, jobs=1, frames=10, runtime="inproc", out=tmp_path / "study")
     chosen = dict(defences="Cad", adversaries="coordinated", kinds="poles", counts=[2], attack_start_s=0.3)

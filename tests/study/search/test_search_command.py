@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from synthetic_search import write_study
 
-import mast_zenoh
 from mast_zenoh.attacks.coordination import Collusion
 from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.study import definition
@@ -19,10 +18,12 @@ from mast_zenoh.study.search import searching
 
 
 @pytest.mark.heavy
+@pytest.mark.usefixtures("unpainted")
 def test_a_small_search_is_played_printed_and_continued(mast, tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="dask is not installed")
     study = write_study(tmp_path, trials=2, candidates=3, batch=3, seeds=1)
-    words = ("study", str(study), "--jobs", "1", "--out", str(tmp_path / "out"))
-    code, printed, _ = mast(*words)
+    words = ("study", str(study), "--out", str(tmp_path / "out"))
+    code, printed, _ = mast(*words, "--jobs", "2")
     assert code == 0
     table = [line for line in printed.splitlines() if not line.startswith(("/", "report: "))]
     assert max(map(len, table)) <= 80
@@ -39,22 +40,12 @@ def test_a_small_search_is_played_printed_and_continued(mast, tmp_path: Path) ->
     assert all(each["value"] >= 0.0 for each in found["candidates"])
     assert (found["search_seeds"], found["held_out_seeds"]) == ([3], [4, 5])
     files = {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "trials").iterdir()}
-    code, longer, _ = mast(*words, "--candidates", "4", "--resume")
+    code, longer, _ = mast(*words, "--jobs", "1", "--candidates", "4", "--resume")
     assert code == 0
     assert "of 4" in longer
     again = json.loads((tmp_path / "out" / "search.json").read_text())
     assert again["candidates"][:3] == found["candidates"]
     assert files.items() <= {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / "trials").iterdir()}.items()
-
-
-@pytest.mark.heavy
-def test_two_processes_find_the_same_as_one(tmp_path: Path) -> None:
-    pytest.importorskip("distributed", reason="dask is not installed")
-    study = write_study(tmp_path, trials=5, candidates=6, batch=3, seeds=2)
-    one, two = (mast_zenoh.study(study, jobs=jobs, out=tmp_path / str(jobs)) for jobs in (1, 2))
-    for name in ("search.md", "search.csv", "candidates.csv", "search.json", "search.png", "table.csv"):
-        assert (one.path / name).read_bytes() == (two.path / name).read_bytes(), name
-    assert "Default: attacked" in str(one)
 
 
 def test_without_optuna_a_search_names_the_command_that_installs_it(mast, monkeypatch, tmp_path: Path) -> None:

@@ -30,6 +30,7 @@ def links(page: WatchedPage, frame: int) -> dict[str, str]:
     return {link["agent"]: link["state"] for link in page.run("viewer.marks(0)")["links"]["links"]}
 
 
+@pytest.mark.heavy
 def test_a_run_without_a_command_centre_has_no_links_to_one(
     run_of_peers: Path, tmp_path: Path, open_page: OpenPage
 ) -> None:
@@ -42,6 +43,7 @@ def test_a_run_without_a_command_centre_has_no_links_to_one(
     assert page.page.get_by_label("links to the command centre").count() == 0
 
 
+@pytest.mark.heavy
 def test_a_partition_cuts_the_links_of_its_agents(both: Path, open_page: OpenPage) -> None:
     page = open_page(both)
     page.run("viewer.state.showPanels(1)")
@@ -88,6 +90,7 @@ def test_spans_name_the_agents_whose_links_are_cut_or_impaired(loaded_run: Run) 
     assert affected("Kill", "process", ["infra_1"]) == {}
 
 
+@pytest.mark.heavy
 def test_two_runs_are_played_to_the_end_of_the_longer(both: Path, open_page: OpenPage) -> None:
     page = open_page(both)
     frames = "viewer.panels.map((panel) => panel.marks().frame)"

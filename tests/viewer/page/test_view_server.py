@@ -56,6 +56,7 @@ def test_runs_without_a_common_agent_are_refused(attacked_run: Path, tmp_path: P
         viewer_page([attacked_run, other])
 
 
+@pytest.mark.heavy
 def test_the_command_prints_where_the_page_is_and_ends_with_ctrl_c(
     attacked_run: Path, baseline_run: Path, open_page: Callable[..., WatchedPage]
 ) -> None:
