@@ -12,7 +12,7 @@ import inspect
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, overload
 
 from mast_zenoh import attacks, driving, fusion, integrity, links, metrics, scenes, sensing, tracking, v2x
@@ -95,19 +95,24 @@ def parameters_of(of: Callable[..., Any], further: Iterable[Callable[..., Any]] 
     for documented in (*(of.__mro__[:-1] if isinstance(of, type) else (of,)), *further):
         text = vars(documented).get("__doc__") if isinstance(documented, type) else documented.__doc__
         meanings = described(text or "", {*_names(documented), *_names(of)} - {"self"}) | meanings
-    return tuple(_parameter(signature.parameters[name], meanings.get(name, "")) for name in _names(of))
+    made = {each.name: each.default_factory for each in (fields(of) if is_dataclass(of) else ())}
+    return tuple(
+        _parameter(signature.parameters[name], meanings.get(name, ""), made.get(name, MISSING)) for name in _names(of)
+    )
 
 
 def _names(of: Callable[..., Any]) -> list[str]:
     return [name for name, each in inspect.signature(of).parameters.items() if each.kind is not each.VAR_KEYWORD]
 
 
-def _parameter(parameter: inspect.Parameter, meaning: str) -> Parameter:
+def _parameter(parameter: inspect.Parameter, meaning: str, factory: Any) -> Parameter:
+    """factory: makes the default of a field; MISSING: it has none"""
     choices = re.fullmatch(r"Literal\[(.*)\]", str(parameter.annotation))
     values = tuple(part.strip(" '\"") for part in choices[1].split(",")) if choices else ()
     unit = unit_of(parameter.name, meaning)
-    meaning = meaning.removeprefix(f"{unit}, ") if unit else meaning
-    return Parameter(parameter.name, _text(parameter.default), unit, meaning, values)
+    meaning = meaning.removeprefix(f"{unit}, ").removeprefix(f"{unit}; ") if unit else meaning
+    default = parameter.default if factory is MISSING else factory()
+    return Parameter(parameter.name, _text(default), unit, meaning, values)
 
 
 def unit_of(name: str, meaning: str) -> str:

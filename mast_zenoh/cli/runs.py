@@ -39,7 +39,7 @@ Beside = Annotated[
 ]
 Camera = Annotated[bool, typer.Option("--camera", help="Add the agent's camera view.")]
 Window = Annotated[
-    str, typer.Option(metavar="fit|follow[:HALF]|X,Y,HALF", help="Which part of the scene; half of its height in m.")
+    str, typer.Option(metavar="fit|follow[:HALF]|X,Y,HALF", help="Which part of the scene; HALF its shorter side, m.")
 ]
 Theme = Annotated[str, typer.Option(metavar="dark|light", help="The ground.")]
 Size = Annotated[str | None, typer.Option(metavar="WIDTHxHEIGHT[px|in|cm|mm]", help="Of the image: 1280x720, 18x10cm.")]

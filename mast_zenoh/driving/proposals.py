@@ -101,7 +101,8 @@ class ProposalDriver(Driver):
     following:    distances and accelerations; None: those of PDM-Closed
     drivable_m:   m, from the middle of the lane to either edge of what it may drive on: the lane, and half a metre
     margin_m:     m, on either side of the car, in which it follows objects
-    preview_s, preview_m: s, m, how far ahead it steers (pure pursuit), and at least
+    preview_s:    s, how far ahead it steers (pure pursuit)
+    preview_m:    m, how far ahead it steers at least
     emergency_s:  s; it brakes as hard as it can if its best proposal hits something sooner than this
     emergency_mps: m/s, up to which it does; faster, it brakes as its proposals do
     """

@@ -17,7 +17,7 @@ from mast_zenoh.metrics.causes import ALTERED, INSERTED, KINDS, MOVED, REMOVED, 
 from mast_zenoh.metrics.estimates import MISSION, PICTURE
 from mast_zenoh.metrics.scores import MATCHED, MISSED, UNEVALUATED, Scores, Table, Texts
 
-#: m, maximum distance between an inserted object and its false track, as in `AttributionLimits.lie_m`.
+#: m, maximum distance between a false position and the track that follows it.
 ACCEPTED_M = 5.0
 #: m; an object with a larger error of its estimate counts as displaced: half the gate of the metrics.
 DISPLACED_M = 1.0
