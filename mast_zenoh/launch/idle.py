@@ -173,7 +173,7 @@ def _defences(run: _EndedRun) -> Iterator[Finding]:
         if not any(
             wire.message == "views" and any(end.node == name for end in wire.subscribers) for wire in run.wiring.wires
         ):
-            yield Finding("idle", (str(kind),), "no views", where=name)
+            yield Finding("idle", (str(kind), name), "no views")
         elif run.resolved.recording is not None and not _seen_by_two(run.resolved.recording, run.frames):
             yield Finding("idle", (str(kind),), "one viewer")
 
@@ -185,7 +185,7 @@ def _trusted_strangers(run: _EndedRun, stage: Any) -> Iterator[Finding]:
     kind, agents = str(stage.get("type")), run.of_role("agent")
     ego = stage.get("ego", getattr(registry.known_types(Integrity).get(kind), "ego", None))
     if isinstance(ego, str) and ego not in agents:
-        yield Finding("idle", (kind,), "stranger", where=ego, cause=(nearest(ego, agents),))
+        yield Finding("idle", (kind, ego), "stranger", cause=(nearest(ego, agents),))
     yield from _trusted_strangers(run, stage.get("stage"))
 
 
@@ -231,7 +231,8 @@ def _faults(run: _EndedRun) -> Iterator[Finding]:
         nodes = {link_of(place) for place in band["nodes"]} & run.of_role("link").keys()
         times_s = [frame * run.resolved.period_ns * 1e-9 for node in nodes for frame in frames.get(node, ())]
         if nodes and not acts_at(band, np.array(times_s)).any():
-            yield Finding("idle", (band["label"],), "fault", band["at_s"], band["until_s"], "s")
+            until_s = run.duration_s if band["until_s"] is None else band["until_s"]
+            yield Finding("idle", (band["label"],), "fault", when=(band["at_s"], until_s))
 
 
 def _estimates(run: _EndedRun) -> Iterator[Finding]:
@@ -240,7 +241,7 @@ def _estimates(run: _EndedRun) -> Iterator[Finding]:
     for wire in run.wiring.wires:
         name, subject = wire.traits.estimate, agent_of(wire.subject)
         if name and wire.key not in scored and subject not in run.of_role("center"):
-            yield Finding("idle", (subject,), "not scored", where=name, cause=(wire.key,))
+            yield Finding("idle", (subject, wire.key), "not scored", where=name)
 
 
 def _sensors(run: _EndedRun) -> Iterator[Finding]:

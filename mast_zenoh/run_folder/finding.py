@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,13 +18,15 @@ class Finding:
     """Something that was measured of a run and is worth saying.
 
     kind:  which phrase of phrases.j2 says it
-    who:   the nodes, agents or cars that it is about
-    what:  which one of its kind: an effect, an error, a state, a reason
-    value: how much, in `unit`;  other: the same of the run `than`, or of what the phrase names beside it
-    where: an estimate of an agent, or wires
+    who:   the nodes, agents, cars, objects or parts of the scenario that it is about, the one that acts first
+    what:  which one of its kind: an effect, an error, a state
+    value: how much or how many, in `unit`;  other: the same of the run `than`, or of what the phrase names beside it
+    where: an estimate, wires, a key or topic, or a place in the scene
     when:  s, the first and the last moment
-    cause: the causes that were measured, or else what explains it
+    cause: what explains it: measured causes by their names, or a kind of reason and then who is to blame, or what a
+           program said of its failure
     than:  the name of the run that it is compared with; empty: by the run's own measurements
+    parts: what it consists of, such as each effect of an attack
     """
 
     kind: str
@@ -37,16 +39,20 @@ class Finding:
     when: tuple[float, float] | None = None
     cause: tuple[str, ...] = ()
     than: str = ""
+    parts: tuple[Finding, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """The fields that say something."""
-        return {name: value for name, value in asdict(self).items() if value not in ("", (), None)}
+        said = {each.name: getattr(self, each.name) for each in fields(self)}
+        said["parts"] = tuple(each.to_json() for each in self.parts)
+        return {name: value for name, value in said.items() if value not in ("", (), None)}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Finding:
         """From a file whose shape was checked; what is no field of a finding is left out."""
         given: dict[str, Any] = {each.name: content[each.name] for each in fields(cls) if each.name in content}
         lists = {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
+        lists["parts"] = tuple(cls.from_json(each) for each in content.get("parts") or ())
         return cls(**(given | lists))
 
 
@@ -58,6 +64,7 @@ SHAPE: dict[str, Any] = {
     "cause": [str],
     "when": [(int, float)],
 }
+SHAPE["parts"] = [SHAPE]
 
 
 def sentence(finding: Finding, *context: Any) -> str:
@@ -107,7 +114,7 @@ def macros(template: Path, filters: tuple[tuple[str, Callable[..., str]], ...] =
     from mast_zenoh.metrics.study_results import plural  # loads what measures: nodes that say nothing do without
 
     environment = Environment(undefined=StrictUndefined, autoescape=False)  # the text is not of a page: pages escape it
-    for each in (plural, names, listed, number, factor, percent):
+    for each in (plural, names, listed, number, factor, percent, sentence):
         environment.filters[each.__name__] = each
     environment.filters |= dict(filters)
     module: Any = environment.from_string(template.read_text("utf-8")).module

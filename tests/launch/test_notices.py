@@ -130,6 +130,7 @@ def test_the_words_of_notices(world: Resolved) -> None:
     assert_kept("notices", *itertools.chain(*lines))
 
 
+REFUSED = Finding("count", what="refused", value=5, unit="commands")
 COUNTS = dict(commanded=100, held=3, braked=2, refused=1)
 OBEDIENT = dict(commanded=105, held=0, braked=0, refused=0)
 BRAKES = [{"on_truth_mps2": None}, {"on_truth_mps2": 0.0}, {}]
@@ -143,7 +144,7 @@ UNJUDGED = {"ego": {"brakes": BRAKES, "on_truth_problem": "ValueError: no road"}
         (
             lambda counts: notices.of_commands(counts, *COMMANDED),
             {"ego": COUNTS, "mobile_1": OBEDIENT},
-            Finding("commands", ("ego",), "", 5, 2, "frames", cause=("5 commands refused",)),
+            Finding("commands", ("ego",), "", 5, 2, "frames", parts=(REFUSED,)),
             "the car of ego had no new command in 5 frames: it went on in 3 and braked in 2; 5 commands refused",
             [None, [], "ego", {"ego": None}, {"ego": {"held": -1, "braked": "many"}}],
         ),

@@ -9,6 +9,7 @@ import pytest
 from browser import chromium
 from test_report_of_driven_cars import BRAKED, HIT, course, happened
 
+from mast_zenoh.run_folder.finding import sentence
 from mast_zenoh.runs.events import first_changes
 from mast_zenoh.runs.interposers import interposers
 from mast_zenoh.runs.run import Run
@@ -180,7 +181,7 @@ def test_changed_commands_have_words_of_their_own(number: int, driven: Driven) -
     table["wire"] = np.where(own, "agent/ego/command", table["wire"]).astype(object)
     table["effect"] = np.where(own, "reframed", table["effect"]).astype(object)
     (adversary,) = (each for each in interposers(run) if each.name == "adversary_1")
-    assert effects(adversary) == (f"{number} command{'s' * (number > 1)} changed",)
+    assert [sentence(each) for each in effects(adversary)] == [f"{number} command{'s' * (number > 1)} changed"]
     assert attacks(run)[0].where == "agent/ego/command"
     assert adversary.other == f"{number} commands changed"
     columns = ("adversary", "kind", "object", "frame", "error_m_centre", "error_m_ego")

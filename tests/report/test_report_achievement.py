@@ -85,11 +85,11 @@ def of_node(**changes: Any) -> dict[str, Any]:
         (idle() | noted("no target"), UNCHANGED),
         (
             idle() | of_node(failures=[{"handler": "detections", "count": 3}]),
-            ("", "failed", "detections failed 3 times"),
+            ("", "failed", "detections failed 3 times", ""),
         ),
         (
             idle() | of_node(failures=[], exit=1, ended="exit code 1"),
-            ("", "failed", "exit code 1"),
+            ("", "failed", "exit code 1", ""),
         ),
         ({"metrics": {"interposers": ...}}, ("", "unmeasured", "")),
     ],
@@ -205,7 +205,7 @@ def test_an_agent_whose_adversary_changes_the_same_object_does_not_see_it(
 def test_adversary_before_another_agent_is_not_judged_by_the_ego(attacked: Run) -> None:
     legs = [{"key": "cc/picture/@tap/infra_1/0", "from": "adversary_1", "to": ["infra_1"], "before": "infra_1"}]
     attacked.files.wiring["wires"].append({"key": "cc/picture", "message": "picture", "legs": legs})
-    assert why(attacked, None) == [("", "elsewhere", "infra_1")]
+    assert why(attacked, None) == [("", "elsewhere", "infra_1", "")]
 
 
 def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attacked: Run) -> None:

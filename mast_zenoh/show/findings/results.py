@@ -41,7 +41,7 @@ def lost_in_real_time(run: Run) -> list[Finding]:
 
 def _lost(run: Run, what: str) -> Finding:
     events = run.files.record.get("churn") or ()
-    return Finding("ended", tuple(dict.fromkeys(e["node"] for e in events)), what, cause=(churn.sentence(events),))
+    return Finding("ended", tuple(dict.fromkeys(e["node"] for e in events)), what, parts=churn.events(events))
 
 
 def unsound(reference: Reference | None) -> list[Finding]:
@@ -132,8 +132,9 @@ def braking(run: Run) -> list[Finding]:
 
 def faults(run: Run) -> list[Finding]:
     """The faults of the scenario and their beginnings."""
-    planned = tuple(f"{each['label']} from {each['at_s']:g} s" for each in run.timeline if each["kind"] == "fault")
-    return [Finding("faults", cause=planned)] * bool(planned)
+    planned = [each for each in run.timeline if each["kind"] == "fault"]
+    parts = tuple(Finding("fault", (str(each["label"]),), when=(each["at_s"],) * 2) for each in planned)
+    return [Finding("faults", parts=parts)] * bool(parts)
 
 
 def missed(run: Run) -> list[Finding]:
@@ -170,13 +171,13 @@ def during(run: Run, reference: Reference | None = None) -> list[Finding]:
     if not any(matters(run, each.name) for each in hostile(run) if each.changed):
         return []
     before = None if reference is None else score_during(reference.run, run, kind, estimate)
-    attacked = int(scored(run, np.unique(run.manipulations["frame"])).sum())
-    share = (
-        (f"{attacked} of {run.scored_frames[1] - run.scored_frames[0] + 1} scored frames",) if run.scored_frames else ()
-    )
+    attacked, share = int(scored(run, np.unique(run.manipulations["frame"])).sum()), list[Finding]()
+    if run.scored_frames:
+        of_frames = run.scored_frames[1] - run.scored_frames[0] + 1
+        share.append(Finding("attacked frames", value=attacked, other=of_frames, unit="frames"))
     who, when = (run.ego or "",), period(run, *run.attack_frames)
     unit, than = ERRORS[kind].unit, reference.name if reference is not None and before is not None else ""
-    return [Finding("during", who, kind, value, before, unit, estimate, when, share, than)]
+    return [Finding("during", who, kind, value, before, unit, estimate, when, (), than, tuple(share))]
 
 
 def score_during(run: Run, attacked: Run, kind: str, estimate: str) -> float | None:
