@@ -22,9 +22,9 @@ from mast_zenoh.show.findings.words import said, text
 
 
 def found_in(run: Run, reference: Reference | None = None) -> dict[str, list[Finding]]:
-    """Everything that is worth saying about a run, by what it is about, in the order in which it is said.
+    """Everything that is worth saying about a run, by what it is about, in the order in which page and terminal say it.
 
-    headline: how it failed, or else its outcome;  details: the other results;  cars, attacks, defence, periods,
+    headline: how it failed, or else its outcome;  details: the other results;  attacks, cars, defence, periods,
     pictures: what these did, were or lasted;  limits: why attacks had limited effect;  notices: what its launcher noted
 
     reference: the run that it is compared with, such as its unattacked twin; None: by its own measurements
@@ -32,8 +32,8 @@ def found_in(run: Run, reference: Reference | None = None) -> dict[str, list[Fin
     return {
         "headline": results.status(run) or outcome(run, reference),
         "details": details(run, reference),
-        "cars": cars.of_cars(run, reference),
         "attacks": adversaries.attacks(run),
+        "cars": cars.of_cars(run, reference),
         "limits": adversaries.limits(run, reference),
         "defence": defence.of_defence(run),
         "periods": defence.periods(run),
