@@ -205,7 +205,7 @@ def _seen_by_two(recording: Recording, frames: int) -> bool:
 
 
 def _links(run: _EndedRun) -> Iterator[Finding]:
-    """Links that received no message. One that changed none is a good link."""
+    """Links that received no message."""
     for name in run.of_role("link"):
         measured = run.metrics.get("interposers", {}).get(name)
         if isinstance(measured, Mapping) and not measured.get("messages"):
@@ -213,9 +213,10 @@ def _links(run: _EndedRun) -> Iterator[Finding]:
 
 
 def _faults(run: _EndedRun) -> Iterator[Finding]:
-    """Faults on links that changed no message in their time.
+    """Faults on links that changed no message in their time, and rules of links that changed none.
 
-    In lock-step alone: in real time, delays of less than a frame are not measured as effects.
+    A profile that changes no message is a good link. In lock-step alone: in real time, delays of less than a frame are
+    not measured as effects.
     """
     if run.resolved.mode != "lockstep" or not run.metrics:
         return
@@ -226,11 +227,18 @@ def _faults(run: _EndedRun) -> Iterator[Finding]:
             affected = np.unique(rows["frame"][settled & (rows["interposer"] == interposer)])
             frames.setdefault(str(interposer), set()).update(affected.tolist())
     for band in run.resolved.timeline:
-        if (band["kind"], band["backend"]) != ("fault", "links") or band["at_s"] > run.duration_s:
+        if band["kind"] == "attack" or band["backend"] != "links" or band["at_s"] > run.duration_s:
             continue
         nodes = {link_of(place) for place in band["nodes"]} & run.of_role("link").keys()
         times_s = [frame * run.resolved.period_ns * 1e-9 for node in nodes for frame in frames.get(node, ())]
-        if nodes and not acts_at(band, np.array(times_s)).any():
+        if not nodes or acts_at(band, np.array(times_s)).any():
+            continue
+        if band["kind"] == "link":
+            configs = [run.resolved.nodes[node].config for node in nodes]
+            ruled = any(rules for each in configs for name, rules in each.items() if name.startswith("rules_"))
+            if band["type"] == "rules" and ruled:
+                yield Finding("idle", tuple(band["nodes"]), "link rules")
+        else:
             until_s = run.duration_s if band["until_s"] is None else band["until_s"]
             yield Finding("idle", (band["label"],), "fault", when=(band["at_s"], until_s))
 

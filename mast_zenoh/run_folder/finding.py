@@ -49,8 +49,9 @@ class Finding:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Finding:
-        """From a file whose shape was checked; what is no field of a finding is left out."""
-        given: dict[str, Any] = {each.name: content[each.name] for each in fields(cls) if each.name in content}
+        """From a file that was checked; what is no field of a finding is left out. `value` was `count` once."""
+        content = {"value": content.get("count"), **content}
+        given = {each.name: content[each.name] for each in fields(cls) if content.get(each.name) is not None}
         lists = {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
         lists["parts"] = tuple(cls.from_json(each) for each in content.get("parts") or ())
         return cls(**(given | lists))
@@ -67,12 +68,30 @@ SHAPE: dict[str, Any] = {
 SHAPE["parts"] = [SHAPE]
 
 
+def check(content: Mapping[str, Any], place: str) -> None:
+    """Raise ValueError, with the place, unless what has the types of `SHAPE` is a finding: with a kind and no nulls."""
+    if not isinstance(content.get("kind"), str):
+        raise ValueError(f"{place}.kind: found {content.get('kind')!r:.60}, expected a string")
+    for name, shape in SHAPE.items():
+        values = content.get(name)
+        if isinstance(shape, list) and values is not None and (None in values or (name == "when" and len(values) != 2)):
+            expected = "two numbers" if name == "when" else "no null in it"
+            raise ValueError(f"{place}.{name}: found {values!r:.60}, expected {expected}")
+    for index, part in enumerate(content.get("parts") or ()):
+        check(part, f"{place}.parts[{index}]")
+
+
+def notice_lines(record: Mapping[str, Any]) -> list[str]:
+    """The notices of a run.json that was checked, a line each with its kind, in the words of the version that ran."""
+    return [f"{each['kind']}: {each['text']}" for each in record.get("notices") or ()]
+
+
 def sentence(finding: Finding, *context: Any) -> str:
-    """A finding in words, without a capital letter and a full stop; empty: no phrase says it.
+    """A finding in words, without a capital letter and a full stop; of a kind without a phrase, by its fields.
 
     context: what phrases on the results of a run need: the run, and the function that says where a finding is
     """
-    every = macros(Path(__file__).with_name("phrases.j2"))
+    every = macros(Path(__file__).with_name("phrases.j2"))  # those of other macros alone begin with _
     phrase = every.get(finding.kind.replace(" ", "_"), every["notice"])
     return " ".join(phrase(finding, *context).split())
 

@@ -52,7 +52,7 @@ def write(run: Run, found: Mapping[str, Sequence[Finding]]) -> None:
 
     found: all findings of the run; notices have their words from run.json, as it may be of another version
     """
-    texts = [each["text"] for each in run.files.record.get("notices", ())]
+    texts = [each["text"] for each in run.files.record.get("notices") or ()]
     every = [(each, " ".join(said(run, [each]))) for name, part in found.items() if name != "notices" for each in part]
     every += zip(found["notices"], texts, strict=True)
     write_json(run.path / "findings.json", finite([asdict(each) | {"text": words} for each, words in every]))

@@ -66,7 +66,7 @@ def of_scores(run: Run, reference: Reference | None = None) -> list[Finding]:
         result += _unchanged(run, over, compared=reference is not None)
     else:
         if change.estimate == RECEIVED or (change.agent != run.ego and "pictures" in run.files.summary):
-            result.append(_same_errors(run, PICTURE, over))
+            result += _same_errors(run, PICTURE, over)
         result += [_finding(run, change, over), *_used(run, change, over)]
         if over is not None and (differences := other_differences(run, over.run)):
             also = "also " if attacking_nodes(run) - attacking_nodes(over.run) else ""
@@ -84,10 +84,12 @@ def _finding(run: Run, change: Change, over: Reference | None) -> Finding:
     return Finding("change", who, what, change.amount, None, unit, where, None, reasons, than)
 
 
-def _same_errors(run: Run, estimate: str, over: Reference | None) -> Finding:
-    """That the errors of an estimate are those of the reference, or that none is due to attacks."""
+def _same_errors(run: Run, estimate: str, over: Reference | None) -> list[Finding]:
+    """That the errors of an estimate are those of the reference, or that none is due to attacks, if there were some."""
+    if over is None and not hostile(run):
+        return []
     judge, than = (run.defence,) if run.defence and over is None else (), "" if over is None else over.name
-    return Finding("unchanged", (run.ego or "",), "errors", where=estimate, cause=judge, than=than)
+    return [Finding("unchanged", (run.ego or "",), "errors", where=estimate, cause=judge, than=than)]
 
 
 def _used(run: Run, change: Change, over: Reference | None) -> list[Finding]:
@@ -96,7 +98,7 @@ def _used(run: Run, change: Change, over: Reference | None) -> list[Finding]:
         return []
     of_mission = [each for each in changes.changes(run, over) if each.estimate == MISSION and each.weight != 0.0]
     if not of_mission:
-        return [_same_errors(run, MISSION, over)] * bool(run.scores_of(MISSION))
+        return _same_errors(run, MISSION, over) if run.scores_of(MISSION) else []
     kinds = (change.kind, FALSE, MISSED, IDENTITY)
     relevant = [each for kind in dict.fromkeys(kinds) for each in of_mission if each.kind == kind] or of_mission
     return [_finding(run, each, over) for each in relevant]
