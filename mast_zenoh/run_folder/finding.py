@@ -108,11 +108,11 @@ def listed(sentences: Sequence[str], most: int) -> str:
     return "; ".join([*sentences[:most], *more])
 
 
-def number(value: float, digits: int = 2) -> str:
+def size(value: float, digits: int = 2) -> str:
     """The size of a number as tables print it, or with more digits if that would be zero; whole, if no digits count."""
-    size = abs(value)
-    whole = not digits or size == 0.0 or size >= 0.5 * 10.0**-digits
-    return f"{size:.{digits}f}" if whole else f"{size:.1g}"
+    amount = abs(value)
+    whole = not digits or amount == 0.0 or amount >= 0.5 * 10.0**-digits
+    return f"{amount:.{digits}f}" if whole else f"{amount:.1g}"
 
 
 def factor(value: float) -> str:
@@ -120,9 +120,9 @@ def factor(value: float) -> str:
     return f"{value:.1f}" if value < 100.0 else f"{value:.3g}"
 
 
-def percent(share: float) -> str:
-    """A share in per cent, halves rounded up."""
-    return str(math.floor(100.0 * share + 0.5))
+def whole_percent(share: float) -> str:
+    """A share in per cent, halves rounded up: 0.125 is `13`, 0.875 is `88`; a dash for NaN."""
+    return "\u2013" if math.isnan(share) else str(math.floor(100.0 * share + 0.5))
 
 
 @cache
@@ -133,7 +133,7 @@ def macros(template: Path, filters: tuple[tuple[str, Callable[..., str]], ...] =
     from mast_zenoh.metrics.study_results import plural  # loads what measures: nodes that say nothing do without
 
     environment = Environment(undefined=StrictUndefined, autoescape=False)  # the text is not of a page: pages escape it
-    for each in (plural, names, listed, number, factor, percent, sentence):
+    for each in (plural, names, listed, size, factor, whole_percent, sentence):
         environment.filters[each.__name__] = each
     environment.filters |= dict(filters)
     module: Any = environment.from_string(template.read_text("utf-8")).module

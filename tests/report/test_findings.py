@@ -20,7 +20,7 @@ from mast_zenoh.runs.interposers import interposers
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show import terminal
 from mast_zenoh.show.comparison import Reference
-from mast_zenoh.show.findings import details, findings, found_in, headline, of_compared, outcome
+from mast_zenoh.show.findings import findings, found_in, headline, of_compared, outcome
 from mast_zenoh.show.findings.adversaries import attacks
 from mast_zenoh.show.findings.causes import reaches
 from mast_zenoh.show.findings.differences import other_differences
@@ -57,7 +57,7 @@ def found(run: Run, reference: Run | None = None, name: str = "unattacked", **fi
 def text_of(run: Run, reference: Run | None = None, name: str = "unattacked") -> str:
     """`^headline$ sentences$`"""
     other = Reference(reference, name) if reference else None
-    return f"^{headline(run, other)}$ {text(run, details(run, other))}$"
+    return f"^{headline(run, other)}$ {text(run, found_in(run, other)['details'])}$"
 
 
 def of_ego(**estimates: Any) -> Metrics:
@@ -198,7 +198,7 @@ def test_the_words_of_a_page_and_of_the_terminal(name: str, run_of: RunOf) -> No
     reference = Reference(run_of(), "baseline") if name == "compared" else None
     console = Console(file=io.StringIO(), width=1000)
     terminal.show_loaded(console, run, reference, found_in(run, reference))
-    page = [headline(run, reference), text(run, details(run, reference)), text(run, attacks(run))]
+    page = [headline(run, reference), text(run, found_in(run, reference)["details"]), text(run, attacks(run))]
     assert_kept(f"run_{name}", *page, "", console.file.getvalue())
 
 

@@ -11,7 +11,7 @@ from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.comparison import Reference
 from mast_zenoh.show.figures.over_time import driving_over_time
-from mast_zenoh.show.findings import changes, details
+from mast_zenoh.show.findings import changes, found_in
 from mast_zenoh.show.findings.adversaries import limits
 from mast_zenoh.show.findings.words import said
 from mast_zenoh.show.tables.of_run import achieved_table, driving_table
@@ -276,7 +276,8 @@ def test_unattributed_increase_of_needless_braking_is_reported(run_of: RunOf, at
         reference.files.summary["driving"] = {"ego": {"mission": {share: before, f"{share}_attack": 0.0}}}
         needless = driving_table(attacked, reference, "unattacked").lines[-1][8]
         assert (f"{more} more" in needless) == bool(more)
-        told = [each.value for each in details(attacked, Reference(reference, "unattacked")) if each.kind == "braking"]
+        details = found_in(attacked, Reference(reference, "unattacked"))["details"]
+        told = [each.value for each in details if each.kind == "braking"]
         assert told == [attack] * bool(attack)
 
 
