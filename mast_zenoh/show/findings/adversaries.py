@@ -99,8 +99,8 @@ def effects(interposer: Interposer) -> tuple[Finding, ...]:
         number, clutter = interposer.objects.get(effect, (0, False))
         who, unit = ("clutter",) * clutter, "rows" if effect in OF_OBJECTS else "messages"
         parts.append(Finding("effect", who, effect, counts[effect], number or None, unit))
-    named = ((interposer.views, "views"), (interposer.commands, "commands"))
-    return (*parts, *(Finding("effect", what="changed", value=number, unit=unit) for number, unit in named if number))
+    named = interposer.reframed.items()
+    return (*parts, *(Finding("effect", what="changed", value=number, unit=f"{of}s") for of, number in named))
 
 
 def period(run: Run, first: int, last: int) -> tuple[float, float]:
@@ -159,7 +159,7 @@ def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[Find
         targets = rows(run.files.targets, own & are_in(run.files.sample, run.files.targets["frame"]))
         if len(targets["frame"]):
             yield from _reasons_of_targets(run, interposer, targets, blamed_for)
-        elif not blamed_for and not interposer.commands:  # what commands do is not in errors
+        elif not blamed_for and "command" not in interposer.reframed:  # what commands do is not in errors
             yield limited(cause=("no object",), parts=effects(interposer))
 
 
