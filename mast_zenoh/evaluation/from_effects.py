@@ -16,7 +16,7 @@ from mast_zenoh.evaluation.effects.table import insertions
 from mast_zenoh.evaluation.estimate_wires import Influences
 from mast_zenoh.metrics import AttributionLimits, Boxes, Manipulations, Scores
 from mast_zenoh.metrics.assignment import Places, nearest, occurs
-from mast_zenoh.metrics.causes import ALTERED, COLUMNS, INSERTED, KINDS, MOVED, REMOVED
+from mast_zenoh.metrics.causes import ALTERED, INSERTED, KINDS, MOVED, REMOVED, ROW_COLUMNS
 from mast_zenoh.metrics.estimates import PICTURE
 from mast_zenoh.metrics.record import TruthTable
 from mast_zenoh.wiring.model import InterposedWire, agent_of
@@ -262,7 +262,7 @@ def add_pose_manipulations(
                     of_box=np.zeros(n, bool),
                 )
             )
-    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ROW_COLUMNS}
     return replace(manipulations, **columns)
 
 

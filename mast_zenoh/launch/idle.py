@@ -173,7 +173,7 @@ def _defences(run: _EndedRun) -> Iterator[Finding]:
         if not any(
             wire.message == "views" and any(end.node == name for end in wire.subscribers) for wire in run.wiring.wires
         ):
-            yield Finding("idle", (str(kind),), "no views", where=name)
+            yield Finding("idle", (str(kind), name), "no views")
         elif run.resolved.recording is not None and not _seen_by_two(run.resolved.recording, run.frames):
             yield Finding("idle", (str(kind),), "one viewer")
 
@@ -185,7 +185,7 @@ def _trusted_strangers(run: _EndedRun, stage: Any) -> Iterator[Finding]:
     kind, agents = str(stage.get("type")), run.of_role("agent")
     ego = stage.get("ego", getattr(registry.known_types(Integrity).get(kind), "ego", None))
     if isinstance(ego, str) and ego not in agents:
-        yield Finding("idle", (kind,), "stranger", where=ego, cause=(nearest(ego, agents),))
+        yield Finding("idle", (kind, ego), "stranger", cause=(nearest(ego, agents),))
     yield from _trusted_strangers(run, stage.get("stage"))
 
 
@@ -205,7 +205,7 @@ def _seen_by_two(recording: Recording, frames: int) -> bool:
 
 
 def _links(run: _EndedRun) -> Iterator[Finding]:
-    """Links that received no message. One that changed none is a good link."""
+    """Links that received no message."""
     for name in run.of_role("link"):
         measured = run.metrics.get("interposers", {}).get(name)
         if isinstance(measured, Mapping) and not measured.get("messages"):
@@ -213,9 +213,10 @@ def _links(run: _EndedRun) -> Iterator[Finding]:
 
 
 def _faults(run: _EndedRun) -> Iterator[Finding]:
-    """Faults on links that changed no message in their time.
+    """Faults on links that changed no message in their time, and rules of links that changed none.
 
-    In lock-step alone: in real time, delays of less than a frame are not measured as effects.
+    A profile that changes no message is a good link. In lock-step alone: in real time, delays of less than a frame are
+    not measured as effects.
     """
     if run.resolved.mode != "lockstep" or not run.metrics:
         return
@@ -226,12 +227,20 @@ def _faults(run: _EndedRun) -> Iterator[Finding]:
             affected = np.unique(rows["frame"][settled & (rows["interposer"] == interposer)])
             frames.setdefault(str(interposer), set()).update(affected.tolist())
     for band in run.resolved.timeline:
-        if (band["kind"], band["backend"]) != ("fault", "links") or band["at_s"] > run.duration_s:
+        if band["kind"] == "attack" or band["backend"] != "links" or band["at_s"] > run.duration_s:
             continue
         nodes = {link_of(place) for place in band["nodes"]} & run.of_role("link").keys()
         times_s = [frame * run.resolved.period_ns * 1e-9 for node in nodes for frame in frames.get(node, ())]
-        if nodes and not acts_at(band, np.array(times_s)).any():
-            yield Finding("idle", (band["label"],), "fault", band["at_s"], band["until_s"], "s")
+        if not nodes or acts_at(band, np.array(times_s)).any():
+            continue
+        if band["kind"] == "link":
+            configs = [run.resolved.nodes[node].config for node in nodes]
+            ruled = any(rules for each in configs for name, rules in each.items() if name.startswith("rules_"))
+            if band["type"] == "rules" and ruled:
+                yield Finding("idle", tuple(band["nodes"]), "link rules")
+        else:
+            until_s = run.duration_s if band["until_s"] is None else band["until_s"]
+            yield Finding("idle", (band["label"],), "fault", when=(band["at_s"], until_s))
 
 
 def _estimates(run: _EndedRun) -> Iterator[Finding]:
@@ -240,7 +249,7 @@ def _estimates(run: _EndedRun) -> Iterator[Finding]:
     for wire in run.wiring.wires:
         name, subject = wire.traits.estimate, agent_of(wire.subject)
         if name and wire.key not in scored and subject not in run.of_role("center"):
-            yield Finding("idle", (subject,), "not scored", where=name, cause=(wire.key,))
+            yield Finding("idle", (subject, wire.key), "not scored", where=name)
 
 
 def _sensors(run: _EndedRun) -> Iterator[Finding]:

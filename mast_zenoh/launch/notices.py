@@ -10,7 +10,6 @@ from typing import Any
 from mast_zenoh.config.resolved import NodeSpec, Resolved
 from mast_zenoh.mesh.control.results import counts_of
 from mast_zenoh.metrics.estimates import subject_of
-from mast_zenoh.metrics.study_results import plural
 from mast_zenoh.outside import MOST_PUBLISHERS
 from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.run_folder.recording import churn
@@ -48,8 +47,8 @@ def of_run(
         if count := sum(collation.get(kind, 0) for collation in collations):
             yield Finding(kind, value=count)
     if shortened := {agent: count for agent, count in left_out.items() if count}:
-        by_agent = tuple(f"{agent}: {count}" for agent, count in shortened.items())
-        yield Finding("left_out", tuple(shortened), value=sum(shortened.values()), unit="tracks", cause=by_agent)
+        by_agent = tuple(Finding("count", (agent,), value=count, unit="tracks") for agent, count in shortened.items())
+        yield Finding("left_out", tuple(shortened), value=sum(shortened.values()), unit="tracks", parts=by_agent)
     yield from of_rejected(nodes)
     yield from _undelivered(Wiring.from_json(resolved.wiring), nodes)
     yield from _foreign(list(nodes.values()))
@@ -57,7 +56,7 @@ def of_run(
     yield from _behind(resolved, record, measured)
     if events := record.get("churn", ()):
         gone = tuple(dict.fromkeys(event["node"] for event in events))
-        yield Finding("churn", gone, value=len(events), cause=tuple(churn.sentence([event]) for event in events))
+        yield Finding("churn", gone, value=len(events), unit="events", parts=churn.events(events))
     yield from of_recording(record)
     yield from (Finding("disconnected", cause=(text,)) for text in record.get("disconnected", ()))
     yield from (_outside(name, counts) for name, counts in record.get("outside", {}).items())
@@ -84,21 +83,20 @@ def _outside(name: str, counts: Mapping[str, Any]) -> Finding:
     if not counts:
         return Finding("outside", (name,), "lost")
     asked, missing, late = counts["asked"], counts["unanswered"] + counts["late"], counts["late"]
-    details = [f"{late} had one later"] * bool(asked and late)
-    details += [f"nothing came on {topic} {absence}" for topic, absence in counts["absent"].items()]
-    for word, what in (("refused", "received message"), ("left_out", "object")):
-        reasons = Counter(counts[word])
+    details = [Finding("from outside", what="late", value=late, unit="messages")] * bool(asked and late)
+    for topic, absence in counts["absent"].items():
+        details.append(Finding("from outside", what="absent", where=topic, cause=(absence,)))
+    for what, unit in (("refused", "received messages"), ("left_out", "objects")):
+        reasons = Counter(counts[what])
         if reasons:
             reason, most = min(reasons.items(), key=lambda item: (-item[1], item[0]))
-            number = plural(reasons.total(), what)
-            details.append(f"it {word.replace('_', ' ')} {number} (most: {most}, {reason})")
+            details.append(Finding("from outside", (), what, reasons.total(), most, unit, cause=(reason,)))
     for topic, publishers in counts["publishers"].items():
         if publishers > 1:
-            many = f"{publishers} or more" if publishers >= MOST_PUBLISHERS else str(publishers)
-            details.append(f"{many} publishers sent on {topic}, expected one: any of them may have answered")
+            details.append(Finding("from outside", (), "sent", publishers, MOST_PUBLISHERS, "publishers", topic))
     if not asked and counts["interrupted"]:
-        return Finding("outside", (name,), "interrupted", counts["interrupted"], cause=tuple(details))
-    return Finding("outside", (name,), "", missing, asked, "messages", cause=tuple(details))
+        return Finding("outside", (name,), "interrupted", counts["interrupted"], unit="messages", parts=tuple(details))
+    return Finding("outside", (name,), "", missing, asked, "messages", parts=tuple(details))
 
 
 def of_commands(cars: object, wiring: Wiring, rejected: Mapping[str, int]) -> Iterator[Finding]:
@@ -116,8 +114,8 @@ def of_commands(cars: object, wiring: Wiring, rejected: Mapping[str, int]) -> It
         frames = counts_of(counts)
         held, braked = (frames.get(name, 0) for name in ("held", "braked"))
         if held + braked:
-            refused = f"{plural(by_car[car], 'command')} refused"
-            yield Finding("commands", (str(car),), "", held + braked, braked, "frames", cause=(refused,))
+            refused = Finding("count", what="refused", value=by_car[car], unit="commands")
+            yield Finding("commands", (str(car),), "", held + braked, braked, "frames", parts=(refused,))
 
 
 def of_estimates(driven: object, frames: object) -> Iterator[Finding]:
@@ -180,7 +178,7 @@ def of_rejected(nodes: Mapping[str, Mapping[str, Any]]) -> Iterator[Finding]:
 
 def _undelivered(wiring: Wiring, nodes: Mapping[str, Mapping[str, Any]]) -> Iterator[Finding]:
     """Wires on which a publisher, of `who`, sent nothing but messages that all subscribers rejected."""
-    parts, publishers = [], []
+    parts = []
     for wire, leg in wiring.legs():
         ends = [end.node for end in leg.subscribers]
         if not ends or not all(leg.key in (nodes.get(name, {}).get("unaccepted") or ()) for name in ends):
@@ -188,20 +186,20 @@ def _undelivered(wiring: Wiring, nodes: Mapping[str, Mapping[str, Any]]) -> Iter
         # The publisher knows why its message cannot be sent, the subscribers what came instead.
         firsts = [nodes.get(name, {}).get("first_rejected") or {} for name in (leg.publisher.node, *ends)]
         _, reason = next((first[leg.key] for first in firsts if leg.key in first), (0, "no reason is known"))
-        parts.append(f"{wire.key} ({leg.publisher.node} to {', '.join(ends)}: {reason})")
-        publishers.append(leg.publisher.node)
+        parts.append(Finding("wire", (leg.publisher.node, *ends), where=wire.key, cause=(reason,)))
     if parts:
-        who = tuple(dict.fromkeys(publishers))
-        yield Finding("undelivered", who, value=len(parts), unit="wires", cause=tuple(parts))
+        who = tuple(dict.fromkeys(each.who[0] for each in parts))
+        yield Finding("undelivered", who, value=len(parts), unit="wires", parts=tuple(parts))
 
 
 def _foreign(nodes: Sequence[Mapping[str, Any]]) -> Iterator[Finding]:
-    """Foreign messages: per key, of `cause`, the largest count of a subscriber."""
+    """Foreign messages: per key the largest count of a subscriber."""
     by_key: Counter[str] = Counter()
     for node in nodes:
         by_key |= Counter(node.get("foreign") or {})
     if by_key:
-        yield Finding("foreign", value=by_key.total(), unit="messages", cause=tuple(sorted(by_key)))
+        on = tuple(Finding("key", where=key, value=count, unit="messages") for key, count in sorted(by_key.items()))
+        yield Finding("foreign", value=by_key.total(), unit="messages", parts=on)
 
 
 def _control(record: Mapping[str, Any]) -> Iterator[Finding]:
@@ -298,8 +296,7 @@ def of_confidence(metrics: Mapping[str, Any], trackers: Mapping[str, Mapping[str
     if not any(summary.get("pairs") for *_, summary in summaries):
         for name, each in trackers.items():
             if each["verdict"] == OVERCONFIDENT:
-                expected = (str(each["expected"]),)
-                found.append(Finding("confidence", (name,), "tracker", each["factor"], each["nis"], cause=expected))
+                found.append(Finding("confidence", (name,), "tracker", each["factor"], each["nis"], "times"))
     if len(found) > _MOST_ESTIMATES:
         found = [*found[:_MOST_ESTIMATES], Finding("confidence", what="more", value=len(found) - _MOST_ESTIMATES)]
     yield from found

@@ -18,7 +18,7 @@ KINDS = ("inserted", "removed", "moved", "altered")
 INSERTED, REMOVED, MOVED, ALTERED = range(len(KINDS))
 
 #: The columns of `Manipulations` with a row for each of them.
-COLUMNS = ("passage", "culprit", "kind", "frame", "object", "position", "original", "velocity", "lasts", "of_box")
+ROW_COLUMNS = ("passage", "culprit", "kind", "frame", "object", "position", "original", "velocity", "lasts", "of_box")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,13 +63,13 @@ class Manipulations:
 
     def select(self, rows: Bools | Ints) -> Manipulations:
         """The rows selected by a mask or an index array."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in COLUMNS})
+        return replace(self, **{name: getattr(self, name)[rows] for name in ROW_COLUMNS})
 
     @classmethod
     def joined(cls, parts: Sequence[Manipulations]) -> Manipulations:
         """The manipulations of several parts of a run, in that order; passages are those of the last part."""
         culprits = tuple(sorted({name for part in parts for name in part.culprits}))
-        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS}
+        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ROW_COLUMNS}
         rows = [np.array([*(culprits.index(name) for name in part.culprits), -1], np.int64) for part in parts]
         columns["culprit"] = np.concatenate([row[part.culprit] for row, part in zip(rows, parts, strict=True)])
         return replace(parts[-1], culprits=culprits, **columns)

@@ -324,7 +324,7 @@ MEASURES: dict[str, Measure] = {
     )
 }
 #: Names that users' metrics cannot have: columns of the table per frame, and entries of a summary.
-COLUMNS = (
+SUMMARY_NAMES = (
     *("frame", "agent", "estimator", "scored", *MEASURES, "causes"),
     *("fn_split", "fp_split", "id_switches_split"),
 )
@@ -494,7 +494,7 @@ class MessageMetric(Metric):
         """
 
 
-def check(metrics: Sequence[Metric], known: Sequence[str] = COLUMNS) -> None:
+def check(metrics: Sequence[Metric], known: Sequence[str] = SUMMARY_NAMES) -> None:
     """Raise ValueError for duplicate names of metrics, and for names of built-in ones."""
     labels = [metric.label for metric in metrics]
     for metric, label in zip(metrics, labels, strict=True):

@@ -390,3 +390,7 @@ def check_file(content: Any, name: str) -> None:
     """Raise ValueError, with the place, unless the content of a file has the types that readers rely on."""
     if name in SHAPES:
         check_shape(content, SHAPES[name])
+    for index, notice in enumerate(content.get("notices") or () if name == "run.json" else ()):
+        finding.check(notice or {}, f"notices[{index}]")
+        if not isinstance(notice.get("text"), str):
+            raise ValueError(f"notices[{index}].text: found {notice.get('text')!r:.60}, expected a string")

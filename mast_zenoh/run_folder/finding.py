@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,13 +18,15 @@ class Finding:
     """Something that was measured of a run and is worth saying.
 
     kind:  which phrase of phrases.j2 says it
-    who:   the nodes, agents or cars that it is about
-    what:  which one of its kind: an effect, an error, a state, a reason
-    value: how much, in `unit`;  other: the same of the run `than`, or of what the phrase names beside it
-    where: an estimate of an agent, or wires
+    who:   the nodes, agents, cars, objects or parts of the scenario that it is about, the one that acts first
+    what:  which one of its kind: an effect, an error, a state
+    value: how much or how many, in `unit`;  other: the same of the run `than`, or of what the phrase names beside it
+    where: an estimate, wires, a key or topic, or a place in the scene
     when:  s, the first and the last moment
-    cause: the causes that were measured, or else what explains it
+    cause: what explains it: measured causes by their names, or a kind of reason and then who is to blame, or what a
+           program said of its failure
     than:  the name of the run that it is compared with; empty: by the run's own measurements
+    parts: what it consists of, such as each effect of an attack
     """
 
     kind: str
@@ -37,16 +39,21 @@ class Finding:
     when: tuple[float, float] | None = None
     cause: tuple[str, ...] = ()
     than: str = ""
+    parts: tuple[Finding, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """The fields that say something."""
-        return {name: value for name, value in asdict(self).items() if value not in ("", (), None)}
+        said = {each.name: getattr(self, each.name) for each in fields(self)}
+        said["parts"] = tuple(each.to_json() for each in self.parts)
+        return {name: value for name, value in said.items() if value not in ("", (), None)}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Finding:
-        """From a file whose shape was checked; what is no field of a finding is left out."""
-        given: dict[str, Any] = {each.name: content[each.name] for each in fields(cls) if each.name in content}
+        """From a file that was checked; what is no field of a finding is left out. `value` was `count` once."""
+        content = {"value": content.get("count"), **content}
+        given = {each.name: content[each.name] for each in fields(cls) if content.get(each.name) is not None}
         lists = {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
+        lists["parts"] = tuple(cls.from_json(each) for each in content.get("parts") or ())
         return cls(**(given | lists))
 
 
@@ -58,14 +65,33 @@ SHAPE: dict[str, Any] = {
     "cause": [str],
     "when": [(int, float)],
 }
+SHAPE["parts"] = [SHAPE]
+
+
+def check(content: Mapping[str, Any], place: str) -> None:
+    """Raise ValueError, with the place, unless what has the types of `SHAPE` is a finding: with a kind and no nulls."""
+    if not isinstance(content.get("kind"), str):
+        raise ValueError(f"{place}.kind: found {content.get('kind')!r:.60}, expected a string")
+    for name, shape in SHAPE.items():
+        values = content.get(name)
+        if isinstance(shape, list) and values is not None and (None in values or (name == "when" and len(values) != 2)):
+            expected = "two numbers" if name == "when" else "no null in it"
+            raise ValueError(f"{place}.{name}: found {values!r:.60}, expected {expected}")
+    for index, part in enumerate(content.get("parts") or ()):
+        check(part, f"{place}.parts[{index}]")
+
+
+def notice_lines(record: Mapping[str, Any]) -> list[str]:
+    """The notices of a run.json that was checked, a line each with its kind, in the words of the version that ran."""
+    return [f"{each['kind']}: {each['text']}" for each in record.get("notices") or ()]
 
 
 def sentence(finding: Finding, *context: Any) -> str:
-    """A finding in words, without a capital letter and a full stop; empty: no phrase says it.
+    """A finding in words, without a capital letter and a full stop; of a kind without a phrase, by its fields.
 
     context: what phrases on the results of a run need: the run, and the function that says where a finding is
     """
-    every = macros(Path(__file__).with_name("phrases.j2"))
+    every = macros(Path(__file__).with_name("phrases.j2"))  # those of other macros alone begin with _
     phrase = every.get(finding.kind.replace(" ", "_"), every["notice"])
     return " ".join(phrase(finding, *context).split())
 
@@ -82,11 +108,11 @@ def listed(sentences: Sequence[str], most: int) -> str:
     return "; ".join([*sentences[:most], *more])
 
 
-def number(value: float, digits: int = 2) -> str:
+def size(value: float, digits: int = 2) -> str:
     """The size of a number as tables print it, or with more digits if that would be zero; whole, if no digits count."""
-    size = abs(value)
-    whole = not digits or size == 0.0 or size >= 0.5 * 10.0**-digits
-    return f"{size:.{digits}f}" if whole else f"{size:.1g}"
+    amount = abs(value)
+    whole = not digits or amount == 0.0 or amount >= 0.5 * 10.0**-digits
+    return f"{amount:.{digits}f}" if whole else f"{amount:.1g}"
 
 
 def factor(value: float) -> str:
@@ -94,9 +120,9 @@ def factor(value: float) -> str:
     return f"{value:.1f}" if value < 100.0 else f"{value:.3g}"
 
 
-def percent(share: float) -> str:
-    """A share in per cent, halves rounded up."""
-    return str(math.floor(100.0 * share + 0.5))
+def whole_percent(share: float) -> str:
+    """A share in per cent, halves rounded up: 0.125 is `13`, 0.875 is `88`; a dash for NaN."""
+    return "\u2013" if math.isnan(share) else str(math.floor(100.0 * share + 0.5))
 
 
 @cache
@@ -107,7 +133,7 @@ def macros(template: Path, filters: tuple[tuple[str, Callable[..., str]], ...] =
     from mast_zenoh.metrics.study_results import plural  # loads what measures: nodes that say nothing do without
 
     environment = Environment(undefined=StrictUndefined, autoescape=False)  # the text is not of a page: pages escape it
-    for each in (plural, names, listed, number, factor, percent):
+    for each in (plural, names, listed, size, factor, whole_percent, sentence):
         environment.filters[each.__name__] = each
     environment.filters |= dict(filters)
     module: Any = environment.from_string(template.read_text("utf-8")).module

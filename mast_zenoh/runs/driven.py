@@ -77,45 +77,25 @@ def twin_course(run: Run, car: str) -> Table | None:
     return course if len(course["frame"]) else None
 
 
-def reason_of(brake: Mapping[str, Any]) -> str:
-    """Why a car braked: `for object 12`, `for an object that is not there …`, `before a line`."""
-    cause = brake["cause"]
-    adversary = cause["adversary"]
-    if cause["kind"] == "real":
-        return f"for object {cause['object']}" + (f", changed by {adversary}" if adversary else "")
-    if cause["kind"] == "false":
-        shown = f", shown by {adversary}" if adversary else ""
-        return f"for an object that is not there (track {cause['object']}{shown})"
-    if cause["kind"] == "unknown":
-        return "for an unknown reason: the replay leaves out what its driver received"
-    if cause["kind"] == "line":
-        return "before a line"
-    if cause["kind"] == "no command":
-        return "because it had no command" + (f", withheld by {adversary}" if adversary else "")
-    if cause["kind"] == "no estimate":
-        return "because it had no estimate"
-    if adversary:
-        return f"because {adversary} changed its commands"
-    if brake.get("needless"):
-        return "for no reason that an intelligent driver model sees"
-    return "for the road ahead or another reason"
-
-
 def happened_to(run: Run, car: str) -> list[Finding]:
-    """Collisions of a car, and its brakes with their reason and, if one is to blame, the adversary."""
+    """Collisions of a car and its brakes, each with the object; the brakes with the kind of their cause."""
     found = []
     for hit in _entries(run, car, "collisions"):
         if isinstance(hit, Mapping) and type(hit.get("frame")) is int:
             what, when = "hidden" if hit.get("hidden") else "", (hit["frame"] * run.period_s,) * 2
-            where, speed_mps = str(hit.get("object")), hit.get("speed_mps")
-            found.append(Finding("collision", (car,), what, speed_mps, None, "m/s", where, when))
-    for brake in brakes_of(run, car):
-        needless, by = bool(brake.get("needless")), brake["cause"]["adversary"]
-        known = brake.get("on_truth_mps2") if needless and brake["cause"]["kind"] == "real" else None
-        what, when = "needless" if needless else "", (brake["from_s"], brake["until_s"])
-        cause = (reason_of(brake), *([str(by)] if by else []))
-        found.append(Finding("brake", (car,), what, brake["hardest_mps2"], known, "m/s²", when=when, cause=cause))
-    return found
+            who = (car, str(hit.get("object")))
+            found.append(Finding("collision", who, what, hit.get("speed_mps"), unit="m/s", when=when))
+    return found + [_braked(car, brake) for brake in brakes_of(run, car)]
+
+
+def _braked(car: str, brake: Mapping[str, Any]) -> Finding:
+    """A brake of a car, from metrics.json."""
+    needless, of = bool(brake.get("needless")), brake["cause"]
+    known = brake.get("on_truth_mps2") if needless and of["kind"] == "real" else None
+    who = (car,) if of["object"] is None else (car, str(of["object"]))
+    what, when = "needless" if needless else "", (brake["from_s"], brake["until_s"])
+    cause = (str(of["kind"]), *[str(of["adversary"])] * bool(of["adversary"]))
+    return Finding("brake", who, what, brake["hardest_mps2"], known, "m/s²", when=when, cause=cause)
 
 
 def braking_events(run: Run, times: np.ndarray, *, brief: bool = False) -> list[Happening]:

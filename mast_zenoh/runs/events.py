@@ -50,9 +50,10 @@ def happenings(run: Run, periods: list[dict[str, Any]], times: Floats) -> list[H
     return result
 
 
-def event(who: str, what: str, where: str = "", cause: str = "") -> str:
-    """Something that happened, in the words of its phrase."""
-    return sentence(Finding("event", (who,), what, where=where, cause=(cause,) if cause else ()))
+def event(who: str, what: str, where: str = "", cause: str = "", whom: str = "") -> str:
+    """Something that happened, in the words of its phrase. whom: the agent or car to which it happened"""
+    every = (who, whom) if whom else (who,)
+    return sentence(Finding("event", every, what, where=where, cause=(cause,) if cause else ()))
 
 
 def first_changes(run: Run) -> list[Happening]:
@@ -70,7 +71,7 @@ def first_changes(run: Run) -> list[Happening]:
             agent = agent_in_key(str(own["wire"][first])) or ""
             kind = str(own["message"][first]) if effect == "reframed" else effect
             what = kind if kind in (*PLACED, "view", "command") else "changed"
-            text = event(name, what, agent, effect)
+            text = event(name, what, cause=effect, whom=agent)
             result.append(Happening(int(own["frame"][first]), "effect", text, *place))
     return result
 

@@ -37,8 +37,8 @@ class Interposer:
     failed_frames: number of frames in which a handler failed
     objects:  by effect of OF_OBJECTS, number of scene objects in its rows, and whether some rows are clutter; only
               where this is known for all rows
-    views:    how many of its reframed messages are views: what an agent says it sees
-    commands: how many of them are commands: what a driver tells its car
+    reframed: how many of its reframed messages are of a type with words of its own: view, what an agent says it sees,
+              or command, what a driver tells its car
     """
 
     name: str
@@ -58,8 +58,7 @@ class Interposer:
     failures: str = ""
     failed_frames: int = 0
     objects: Mapping[str, tuple[int, bool]] = field(default_factory=dict)
-    views: int = 0
-    commands: int = 0
+    reframed: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def is_link(self) -> bool:
@@ -68,10 +67,10 @@ class Interposer:
 
     @property
     def effects_besides_named(self) -> dict[str, int]:
-        """The measured effects, without the views and the commands among the reframed messages."""
+        """The measured effects, without those of `reframed`."""
         effects = dict(self.effects or {})
-        if named := self.views + self.commands:
-            effects["reframed"] -= named
+        if self.reframed:
+            effects["reframed"] -= sum(self.reframed.values())
         return effects
 
     @property
@@ -83,7 +82,7 @@ class Interposer:
     def other(self) -> str:
         """Effects that are not in WITH_COLUMN, in words."""
         more = {name: n for name, n in self.effects_besides_named.items() if name not in WITH_COLUMN}
-        more |= {"views changed": self.views, "commands changed": self.commands}
+        more |= {f"{message}s changed": count for message, count in self.reframed.items()}
         return ", ".join(f"{count} {name}" for name, count in more.items() if count)
 
     @property
@@ -159,8 +158,7 @@ def interposers(run: Run) -> tuple[Interposer, ...]:
                 failures=crash,
                 failed_frames=failed_frames,
                 objects=_objects(run, node, summary.get("effects") or {}),
-                views=_reframed(run, node, summary.get("effects") or {}, "view"),
-                commands=_reframed(run, node, summary.get("effects") or {}, "command"),
+                reframed=_reframed(run, node, summary.get("effects") or {}),
             )
         )
     return tuple(sorted(result, key=lambda each: (each.is_link, not each.changed and not each.failures)))
@@ -209,13 +207,17 @@ def _objects(run: Run, node: str, effects: Mapping[str, int]) -> dict[str, tuple
     return objects
 
 
-def _reframed(run: Run, node: str, effects: Mapping[str, int], message: str) -> int:
-    """How many of the messages that a node reframed are of a kind: view or command."""
-    table, number = run.manipulations, effects.get("reframed", 0)
-    if table is None or not number:
-        return 0
-    changed = (table["interposer"] == node) & (table["effect"] == "reframed") & (table["message"] == message)
-    return min(int(changed.sum()), number)
+def _reframed(run: Run, node: str, effects: Mapping[str, int]) -> dict[str, int]:
+    """How many of the messages that a node reframed are views or commands, by type; at most as many as it reframed."""
+    table, left, result = run.manipulations, effects.get("reframed", 0), {}
+    if table is None or not left:
+        return {}
+    changed = table["message"][(table["interposer"] == node) & (table["effect"] == "reframed")]
+    for message in ("view", "command"):
+        if number := min(int((changed == message).sum()), left):
+            result[message] = number
+            left -= number
+    return result
 
 
 def n_failed_frames(failures: Sequence[Mapping[str, Any]]) -> int:

@@ -257,7 +257,7 @@ class Run:
     @cached_property
     def notices(self) -> list[Finding]:
         """What its launcher noted at its end: losses, refusals, and parts that took part in nothing."""
-        return [Finding.from_json(each) for each in self.files.record.get("notices", ())]
+        return [Finding.from_json(each) for each in self.files.record.get("notices") or ()]
 
     @property
     def range_m(self) -> float:

@@ -161,7 +161,7 @@ def timeline_of(
     nowhere = [(f"{_short(at)} ({type(fault).__name__})", "node") for at, fault in node_faults if not fault.selectors]
     nowhere += [(f"{_short(at)} ({fault['type']})", "host") for at, fault in host_faults if not fault["hosts"]]
     nowhere += [(name, "agent") for name in scenario.get("adversaries", {}) if name not in nodes]
-    idle += [Finding("idle", (part,), "names nothing", unit=unit) for part, unit in nowhere]
+    idle += [Finding("idle", (part,), f"no {what}") for part, what in nowhere]
     idle += [
         Finding("idle", (pattern,), "links")
         for pattern in scenario.get("links", {})

@@ -14,8 +14,7 @@ from mast_zenoh.runs.run import Run
 from mast_zenoh.show import comparison
 from mast_zenoh.show.comparison import Reference
 from mast_zenoh.show.figures.plots import Plots, labelled
-from mast_zenoh.show.findings import outcome
-from mast_zenoh.show.findings.words import text
+from mast_zenoh.show.findings import of_compared
 from mast_zenoh.show.tables.scores import OVER_ALONE, score_table
 
 
@@ -51,10 +50,9 @@ class Comparison:
 
     @property
     def headline(self) -> str:
-        """For each run the largest difference from the first, after what happened to driven cars, in a line."""
+        """What the page of compared runs says of each, in a line: such as the largest difference from the first."""
         reference = Reference(self._folders[self._reference], self._reference)
-        others = [(label, run) for label, run in self._folders.items() if label != self._reference]
-        return "\n".join(f"{label}: {text(run, outcome(run, reference))}." for label, run in others)
+        return "\n".join(of_compared(self._folders, reference)[1])
 
     @property
     def plot(self) -> Plots:

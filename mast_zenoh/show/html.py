@@ -17,7 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from mast_zenoh.metrics.study_results import StudyFacts, StudyRow, plural
 from mast_zenoh.run_folder import write_bytes
-from mast_zenoh.run_folder.finding import Finding
+from mast_zenoh.run_folder.finding import Finding, notice_lines
 from mast_zenoh.runs.frame import has_boxes
 from mast_zenoh.runs.interposers import BAD, WITH_COLUMN, failure_lines, interposers, node_row
 from mast_zenoh.runs.run import Run
@@ -293,7 +293,7 @@ def _write_run(
         "message": run.files.record.get("message"),
         "failures": failure_lines(run),
         "reference_status": text(run, unsound(reference)).removesuffix(":"),
-        "notices": [f"{notice['kind']}: {notice['text']}" for notice in run.files.record.get("notices", ())],
+        "notices": notice_lines(run.files.record),
         "missing": (*run.files.missing, *problems),
         "back": _relative(study / "report.html", run.path) if study is not None else None,
         "viewer": viewer,

@@ -12,7 +12,7 @@ from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show import comparison
 from mast_zenoh.show.comparison import Reference
-from mast_zenoh.show.findings import found_in
+from mast_zenoh.show.findings import found_in, of_compared
 from mast_zenoh.show.findings.cars import of_cars
 from mast_zenoh.show.findings.results import status, unsound
 from mast_zenoh.show.findings.words import defence_line, said, text
@@ -21,7 +21,7 @@ from mast_zenoh.show.tables.scores import score_table
 
 
 def show(console: Console, runs: Mapping[str, Path]) -> None:
-    """Print the results of run folders by label.
+    """Print the results of compared run folders by label, with what their page says of each.
 
     The reference is `baseline`, or else the first.
     A run without a readable metrics.json gets dashes. Runs with links or faults also get the causes of their errors;
@@ -30,16 +30,18 @@ def show(console: Console, runs: Mapping[str, Path]) -> None:
     folders = {label: Run(path) for label, path in runs.items()}
     agent = next((run.ego for run in folders.values() if run.ego), "ego")
     metrics = {label: run.files.summary for label, run in folders.items()}
-    console.print(score_table(folders).as_rich())
+    reference = "baseline" if "baseline" in folders else next(iter(folders))
+    console.print(score_table(folders, reference).as_rich())
     _show_causes(console, folders, agent)
-    if len(runs) > 1 and (nees := nees_table(metrics, agent)).lines:
+    if (nees := nees_table(metrics, agent)).lines:
         console.print(nees.as_rich())
+    title, sentences = of_compared(folders, Reference(folders[reference], reference))
+    _print_headline(console, title)
+    for each in sentences:
+        console.print(escape(each), highlight=False)
     for label, run in folders.items():
-        prefix = f"{label}: " if len(runs) > 1 else ""
-        found = found_in(run)
-        _show_lines(console, prefix, run, found)
-        if defence := defence_line(run, found["defence"]):
-            console.print(escape(f"{prefix}{defence}."), highlight=False)
+        found = {name: part for name, part in found_in(run).items() if name not in ("headline", "details", "cars")}
+        _show_findings(console, f"{label}: ", run, found)
 
 
 def show_run(console: Console, run_folder: Path, against: Path | None = None) -> None:
@@ -75,14 +77,14 @@ def show_loaded(
     if (messages := own_messages(run)).lines:
         console.print(messages.as_rich())
     _show_causes(console, {run.name: run}, run.ego or "ego")
-    _show_lines(console, "", run, found)
     for warning in said(run, unsound(reference), capitals=False):
         line = f"warning: {warning} the differences may be wrong"
         console.print(line, markup=False, highlight=False, style="bold yellow")
-    console.print(escape(f"{text(run, found['headline'])}."), highlight=False, style="bold")
-    for line in (text(run, found["cars"]), defence_line(run, found["defence"])):
-        if line:
-            console.print(escape(f"{line}."), highlight=False)
+    _show_findings(console, "", run, found)
+
+
+def _print_headline(console: Console, headline: str) -> None:
+    console.print(escape(f"{headline}."), highlight=False, style="bold")
 
 
 def _show_causes(console: Console, runs: Mapping[str, Run], agent: str) -> None:
@@ -95,16 +97,28 @@ def _show_causes(console: Console, runs: Mapping[str, Run], agent: str) -> None:
 _MOST_JUDGED = 8
 
 
-def _show_lines(console: Console, label: str, run: Run, found: Mapping[str, Sequence[Finding]]) -> None:
-    """Print what interposers did, why it had limited effect, and every check."""
-    lines = []
-    for each in [each for each in found["attacks"] if each.kind != "adversaries"]:
-        lines += said(run, [each], capitals=False)
-        why = [reason for reason in found["limits"] if each.kind == "attack" and each.value and reason.who == each.who]
-        lines += [f"  limited effect: {reason}" for reason in said(run, why, capitals=False)]
-    judged = said(run, found["periods"], capitals=False)
-    lines += [*said(run, found["pictures"]), *judged[:_MOST_JUDGED]]
-    if len(judged) > _MOST_JUDGED:
-        lines.append(f"  and {len(judged) - _MOST_JUDGED} agents more, see the report")
+def _show_findings(console: Console, label: str, run: Run, found: Mapping[str, Sequence[Finding]]) -> None:
+    """Print findings in the order of `found_in`, but for notices, and every check.
+
+    Why an adversary had limited effect is below what it did. Of suspensions, the first _MOST_JUDGED are printed.
+    """
+    lines: list[str] = []
+    for name, part in found.items():
+        if name == "headline":
+            _print_headline(console, text(run, part))
+        elif name == "attacks":
+            for each in part:
+                lines += said(run, [each])
+                why = [reason for reason in found["limits"] if each.kind == "attack" and reason.who == each.who]
+                lines += [f"  limited effect: {reason}" for reason in said(run, why, capitals=False)]
+        elif name == "defence":
+            lines += [f"{line}." for line in [defence_line(run, part)] if line]
+        elif name == "periods":
+            judged = said(run, part, capitals=False)
+            lines += judged[:_MOST_JUDGED]
+            if len(judged) > _MOST_JUDGED:
+                lines.append(f"  and {len(judged) - _MOST_JUDGED} agents more, see the report")
+        elif name not in ("limits", "notices") and part:
+            lines.append(f"{text(run, part)}.")
     for line in (*lines, *check_lines(run.files.checks)):
         console.print(escape(f"{label}{line}"), highlight=False)

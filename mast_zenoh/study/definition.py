@@ -42,7 +42,7 @@ DRIVEN = "driven"
 RUN_KEYS = ("scenario", "parameters", "grid", "factors")
 RUNTIMES = ("mesh", "inproc")
 #: Columns of results.parquet, frames.parquet and table.csv: no parameter of a grid may have one of these names.
-COLUMNS = {
+RESULT_COLUMNS = {
     *("configuration", "scene", "seed", "who", "estimator", "metric", "value", "std", "frames"),
     *("frame", "agent", "scored", *(name for name, measure in MEASURES.items() if measure.axis)),
     *("mean", "std_over_frames", "mean_over_trials", "low", "high", "scenes_low", "scenes_high", "p", "p_holm"),
@@ -297,7 +297,7 @@ def _expand(path: Path, label: Any, run: Any) -> list[Configuration]:
         listed = isinstance(values, (list, tuple)) and values
         _check(listed, f"{place}.grid.{name}: found {values!r}, expected a list of values")
         reserved = "the tables of results have a column of this name, expected another"
-        _check(name not in COLUMNS, f"{place}.grid.{name}: {reserved}{_SUGGESTIONS.get(name, '')}")
+        _check(name not in RESULT_COLUMNS, f"{place}.grid.{name}: {reserved}{_SUGGESTIONS.get(name, '')}")
     configurations = []
     for values in itertools.product(*grid.values()):
         point = dict(zip(grid, values, strict=True))

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.metrics import CAUSES, Table, increments
-from mast_zenoh.metrics.measures import COLUMNS
+from mast_zenoh.metrics.measures import SUMMARY_NAMES
 from mast_zenoh.study.trial import Trial, TrialOutcome
 
 NAN = float("nan")
@@ -89,7 +89,7 @@ def scored_frames(metrics: Mapping[str, Any]) -> tuple[int, int]:
 
 def own_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
     """The user's metrics of an estimate in metrics.json, by `own NAME`."""
-    own = {f"own {name}": value for name, value in summary.items() if name not in COLUMNS}
+    own = {f"own {name}": value for name, value in summary.items() if name not in SUMMARY_NAMES}
     means = {name: value["mean"] if isinstance(value, Mapping) else value for name, value in own.items()}
     return {name: NAN if value is None else float(value) for name, value in means.items()}
 

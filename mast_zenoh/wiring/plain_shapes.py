@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any
 
@@ -50,6 +51,8 @@ def check_shape(value: Any, shape: Any, place: str = "") -> None:
     elif not isinstance(value, shape) or (isinstance(value, bool) and shape is not bool):
         words = {str: "a string", bool: "true or false", int: "a whole number", (str, list): "a string or a list"}
         expected = words.get(shape, "a number")
+    elif isinstance(value, float) and not math.isfinite(value):
+        expected = "a finite number"
     elif isinstance(value, int) and not -_MAX_INT <= value < _MAX_INT:
         expected = "a number of 64 bits"
     if expected is not None:

@@ -68,7 +68,7 @@ def test_a_comparison_lists_the_scores_and_differences_of_both_runs(attacked: ma
     assert false["mean"] == pytest.approx(attacked.summary["agents"]["ego"]["picture"]["fp"]["mean"])
     assert false["change"] == pytest.approx(false["mean"] - rows["fp", "baseline", "picture"]["mean"])
     assert false["change"] > 0.5
-    assert comparison.headline.startswith("uncoordinated: ")
+    assert [line.partition(":")[0] for line in comparison.headline.splitlines()] == ["baseline", "uncoordinated"]
     assert "more false objects" in comparison.headline
     assert "(+" in str(comparison)
     assert comparison.headline in str(comparison)

@@ -94,6 +94,9 @@ CASES: dict[str, Edit] = {
     "a defence with views": defend("KOfN", "views.toml"),
     "links of no agent": setting(links={"truck_*": "wired"}),
     "a link that changes nothing": setting(links={"*": "wired"}),
+    "link rules that change nothing": setting(
+        links={"infra_1": dict(up=[dict(type="Loss", probability=0.0)]), "*": dict(up=[])}
+    ),
     "a fault after the run": setting(faults=[PARTITION | dict(at=5.0)]),
     "a fault": setting(faults=[PARTITION]),
     "a fault that changes nothing": setting(faults=[dict(type="Loss", at=0.5, nodes=["infra_1"], probability=0.0)]),

@@ -16,9 +16,10 @@ from tiny_world import tiny
 import mast_zenoh as mast
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.errors import StallError
+from mast_zenoh.errors import RunFolderError, StallError
 from mast_zenoh.launch import ending, notices, run
 from mast_zenoh.mesh.control import results
+from mast_zenoh.run_folder import read_object
 from mast_zenoh.run_folder.finding import Finding, sentence
 from mast_zenoh.show.html import write_report
 from mast_zenoh.tracking import Innovations
@@ -130,6 +131,7 @@ def test_the_words_of_notices(world: Resolved) -> None:
     assert_kept("notices", *itertools.chain(*lines))
 
 
+REFUSED = Finding("count", what="refused", value=5, unit="commands")
 COUNTS = dict(commanded=100, held=3, braked=2, refused=1)
 OBEDIENT = dict(commanded=105, held=0, braked=0, refused=0)
 BRAKES = [{"on_truth_mps2": None}, {"on_truth_mps2": 0.0}, {}]
@@ -143,7 +145,7 @@ UNJUDGED = {"ego": {"brakes": BRAKES, "on_truth_problem": "ValueError: no road"}
         (
             lambda counts: notices.of_commands(counts, *COMMANDED),
             {"ego": COUNTS, "mobile_1": OBEDIENT},
-            Finding("commands", ("ego",), "", 5, 2, "frames", cause=("5 commands refused",)),
+            Finding("commands", ("ego",), "", 5, 2, "frames", parts=(REFUSED,)),
             "the car of ego had no new command in 5 frames: it went on in 3 and braked in 2; 5 commands refused",
             [None, [], "ego", {"ego": None}, {"ego": {"held": -1, "braked": "many"}}],
         ),
@@ -217,8 +219,41 @@ def test_a_run_too_short_to_leave_out_its_first_frames_has_a_notice(
     assert [each["value"] for each in outcome.record["notices"] if each["kind"] == "unsettled"] == expected
 
 
+@pytest.mark.parametrize(
+    ("damage", "place"),
+    [
+        (None, "notices[0].kind"),
+        ({"kind": "late"}, "notices[0].text"),
+        ({"kind": "late", "text": "late", "who": [None]}, "notices[0].who"),
+        ({"kind": "late", "text": "late", "when": [1.0]}, "notices[0].when"),
+        ({"kind": "late", "text": "late", "value": math.nan}, "notices[0].value"),
+        ({"kind": "late", "text": "late", "when": [0.0, math.inf]}, "notices[0].when[1]"),
+        ({"kind": "late", "text": "late", "parts": [{"who": []}]}, "notices[0].parts[0].kind"),
+    ],
+)
+def test_a_damaged_notice_is_refused_with_its_file_and_field(
+    tmp_path: Path, damage: dict[str, Any] | None, place: str
+) -> None:
+    (tmp_path / "run.json").write_text(json.dumps({"notices": [damage]}))
+    with pytest.raises(RunFolderError) as refusal:
+        read_object(tmp_path / "run.json")
+    assert f"run.json: cannot be read: {place}: " in str(refusal.value)
+
+
+def test_a_notice_of_an_older_version_has_its_count_as_value() -> None:
+    assert Finding.from_json({"kind": "late", "count": 7, "text": "7 messages", "who": None}) == Finding(
+        "late", value=7
+    )
+
+
+def test_a_finding_of_a_newer_version_is_said_by_its_fields() -> None:
+    newer = Finding("storm", ("ego", "infra_1"), "hail", 3, 4.5, "m", "the road", (0.0, 2.5), ("ice", "wind"))
+    assert sentence(newer) == "hail ego and infra_1 the road: 3 of 4.5 m from 0 to 2.5 s (ice; wind)"
+    assert sentence(Finding("_amount")) == sentence(Finding("storm")) == ""
+
+
 def test_a_stall_error_names_the_refused_messages() -> None:
-    refused = {"kind": "rejected", "count": 7, "text": "7 messages on 1 key (first: agent/x/mission: queued: …)"}
+    refused = {"kind": "rejected", "value": 7, "text": "7 messages on 1 key (first: agent/x/mission: queued: …)"}
     stall = StallError("stall: evaluator has handled 4 of 5 messages")
     assert str(ending.of_stall(stall, [refused])) == f"{stall}; refused: {refused['text']}"
     assert str(ending.of_stall(stall, [refused | {"kind": "foreign"}])) == str(stall)

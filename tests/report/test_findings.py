@@ -5,6 +5,7 @@ import json
 import re
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,13 @@ from kept_texts import assert_kept
 from rich.console import Console
 from run_samples import edit
 
-from mast_zenoh.run_folder.finding import Finding
+from mast_zenoh.run_folder.finding import Finding, sentence
 from mast_zenoh.runs.events import first_changes
 from mast_zenoh.runs.interposers import interposers
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show import terminal
 from mast_zenoh.show.comparison import Reference
-from mast_zenoh.show.findings import details, findings, found_in, headline, of_compared, outcome
+from mast_zenoh.show.findings import findings, found_in, headline, of_compared, outcome
 from mast_zenoh.show.findings.adversaries import attacks
 from mast_zenoh.show.findings.causes import reaches
 from mast_zenoh.show.findings.differences import other_differences
@@ -39,13 +40,15 @@ FAILURE |= {"exception": "ValueError: no", "where": "mine.py:3"}
 
 
 def found(run: Run, reference: Run | None = None, name: str = "unattacked", **fields: Any) -> list[Finding]:
-    """The findings of a run with these fields; names in `who` and `cause` are among others."""
+    """The findings of a run with these fields; names in `who` and `cause`, and a part, are among others."""
     every = findings(run, Reference(reference, name) if reference else None)
     return [
         each
         for each in every
         if all(
-            {value} <= set(getattr(each, field)) if field in ("who", "cause") else getattr(each, field) == value
+            {value} <= set(getattr(each, field))
+            if field in ("who", "cause", "parts")
+            else getattr(each, field) == value
             for field, value in fields.items()
         )
     ]
@@ -54,7 +57,7 @@ def found(run: Run, reference: Run | None = None, name: str = "unattacked", **fi
 def text_of(run: Run, reference: Run | None = None, name: str = "unattacked") -> str:
     """`^headline$ sentences$`"""
     other = Reference(reference, name) if reference else None
-    return f"^{headline(run, other)}$ {text(run, details(run, other))}$"
+    return f"^{headline(run, other)}$ {text(run, found_in(run, other)['details'])}$"
 
 
 def of_ego(**estimates: Any) -> Metrics:
@@ -66,6 +69,10 @@ def braking(**shares: float) -> Metrics:
     return {"driving": {"ego": {"mission": {f"{name}_brake_share_attack": share for name, share in shares.items()}}}}
 
 
+def attacked_frames(number: int, of: int) -> Finding:
+    return Finding("attacked frames", value=number, other=of, unit="frames")
+
+
 def acting_on_misses(ego: Metrics) -> Metrics:
     clean = ego["picture"] | {"fp_split": NONE, "fn_split": NONE, "id_switches_split": NONE}
     received = clean | {"fn_split": NONE | {"attack": 6.0}}
@@ -73,6 +80,8 @@ def acting_on_misses(ego: Metrics) -> Metrics:
     return {"picture": clean, "picture_received": received, "mission": mission}
 
 
+ROADSIDE = Finding("place", what="static", value=2, other=4, unit="agents")
+ROWS_INSERTED = Finding("effect", what="inserted", value=125, unit="rows")
 INSERTED = dict(kind="change", what="false", value=6.25, where="picture", cause="adversary_2")
 #: Attack, changed files, findings, and one that must be absent.
 ALONE: dict[str, tuple[str, dict[str, Any], list[dict[str, Any]], dict[str, Any]]] = {
@@ -82,9 +91,9 @@ ALONE: dict[str, tuple[str, dict[str, Any], list[dict[str, Any]], dict[str, Any]
         {},
         [
             INSERTED,
-            dict(kind="adversaries", what="compromised", who="adversary_1", where="2 of 4 roadside sensors"),
-            dict(kind="attack", who="adversary_2", when=(1.5, 3.9), cause="125 rows of objects inserted"),
-            dict(kind="during", what="false", value=10.0, when=(1.5, 3.9), cause="25 of 40 scored frames"),
+            dict(kind="adversaries", what="compromised", who="adversary_1", parts=ROADSIDE),
+            dict(kind="attack", who="adversary_2", when=(1.5, 3.9), parts=ROWS_INSERTED),
+            dict(kind="during", what="false", value=10.0, when=(1.5, 3.9), parts=attacked_frames(25, 40)),
         ],
         dict(kind="ended"),
     ),
@@ -139,8 +148,8 @@ ALONE: dict[str, tuple[str, dict[str, Any], list[dict[str, Any]], dict[str, Any]
     "fewer than half of the frames attacked": (
         "uncoordinated",
         {"metrics": {"scored_frames": [0, 28]}},
-        [dict(kind="during", cause="14 of 29 scored frames")],
-        dict(kind="during", cause="25 of 40 scored frames"),
+        [dict(kind="during", parts=attacked_frames(14, 29))],
+        dict(kind="during", parts=attacked_frames(25, 40)),
     ),
     "changes with a cause each": (
         "uncoordinated",
@@ -189,7 +198,7 @@ def test_the_words_of_a_page_and_of_the_terminal(name: str, run_of: RunOf) -> No
     reference = Reference(run_of(), "baseline") if name == "compared" else None
     console = Console(file=io.StringIO(), width=1000)
     terminal.show_loaded(console, run, reference, found_in(run, reference))
-    page = [headline(run, reference), text(run, details(run, reference)), text(run, attacks(run))]
+    page = [headline(run, reference), text(run, found_in(run, reference)["details"]), text(run, attacks(run))]
     assert_kept(f"run_{name}", *page, "", console.file.getvalue())
 
 
@@ -285,21 +294,18 @@ def test_effects_without_a_change_of_scores_are_named(run_of: RunOf) -> None:
     agents = {"agents": lambda _: reference.files.summary["agents"]}
     attacked = run_of("uncoordinated", metrics=agents)
     assert found(attacked, reference, kind="unchanged", what="scores", who="adversary_1", than="unattacked")
-    assert found(attacked, kind="attack", who="adversary_1", cause="125 rows of objects inserted")
+    assert found(attacked, kind="attack", who="adversary_1", parts=ROWS_INSERTED)
     passive = {"effects": lambda _: {}, "agreement": "nothing to report"}
     changes = {"interposers": {"adversary_1": passive, "adversary_2": passive}}
     silent = run_of("uncoordinated", metrics=changes)  # its errors differ, as with another defence
-    for run, what, where in (
-        (run_of("uncoordinated", metrics=agents | changes), "idle", "2 of 4 roadside sensors"),
-        (run_of("uncoordinated", metrics=agents | {"interposers": ...}), "unmeasured", "2 of 4 roadside sensors"),
-        (silent, "idle", "2 of 4 roadside sensors"),
-        (
-            run_of("uncoordinated", metrics={"interposers": {"adversary_1": passive}}),
-            "compromised",
-            "1 of 4 roadside sensors",
-        ),
+    one = replace(ROADSIDE, value=1)
+    for run, what, place in (
+        (run_of("uncoordinated", metrics=agents | changes), "idle", ROADSIDE),
+        (run_of("uncoordinated", metrics=agents | {"interposers": ...}), "unmeasured", ROADSIDE),
+        (silent, "idle", ROADSIDE),
+        (run_of("uncoordinated", metrics={"interposers": {"adversary_1": passive}}), "compromised", one),
     ):
-        assert found(run, kind="adversaries", what=what, where=where)
+        assert found(run, kind="adversaries", what=what, parts=place)
     assert found(silent, reference, kind="adversaries", what="idle")
 
 
@@ -497,7 +503,7 @@ def test_every_kind_of_effect_is_described(run_of: RunOf) -> None:
     ):
         run = run_of("uncoordinated")
         run.files.summary["interposers"]["adversary_1"]["effects"] = effects
-        assert attacks(run)[0].cause == words
+        assert tuple(map(sentence, attacks(run)[0].parts)) == words
 
 
 def test_a_forged_view_is_described_as_what_the_agent_says_it_sees(run_of: RunOf) -> None:
@@ -509,15 +515,21 @@ def test_a_forged_view_is_described_as_what_the_agent_says_it_sees(run_of: RunOf
     table["wire"] = np.where(views, "agent/infra_1/view", table["wire"]).astype(object)
     table["effect"] = np.where(views, "reframed", table["effect"]).astype(object)
     (adversary,) = (each for each in interposers(run) if each.name == "adversary_1")
-    assert attacks(run)[0].cause == ("2 messages changed outside their objects", "25 views changed")
+    reframed, views = attacks(run)[0].parts
+    assert (reframed.what, reframed.value, reframed.unit) == ("reframed", 2, "messages")
+    assert (views.what, views.value, views.unit) == ("changed", 25, "views")
     assert "2 reframed, 25" in adversary.other
     assert "changes what infra_1" in " ".join(event.text for event in first_changes(run))
 
 
 def test_idle_unmeasured_and_live_adversaries_are_distinguished(run_of: RunOf) -> None:
     idle = {"adversary_1": {"effects": lambda _: {}}, "adversary_2": {"effects": ...}}
-    did = {each.who[0]: each.cause for each in attacks(run_of("uncoordinated", metrics={"interposers": idle}))}
-    assert did == {"adversary_1": ("nothing",), "adversary_2": ("not measured",)}
+    run = run_of("uncoordinated", metrics={"interposers": idle})
+    did = {each.who[0]: (each.value, each.parts) for each in attacks(run)}
+    assert did == {"adversary_1": (0, ()), "adversary_2": (None, ())}
+    nothing, not_measured = said(run, attacks(run))
+    assert nothing.endswith(": nothing")
+    assert not_measured.endswith(": not measured")
     events = [
         {"action": "intercept", "node": "adversary_1", "frame": 15, "wires": ["agent/infra_1/detections"]},
         {"action": "release", "node": "adversary_1", "frame": 30, "wires": []},

@@ -9,11 +9,12 @@ import pytest
 from browser import chromium
 from test_report_of_driven_cars import BRAKED, HIT, course, happened
 
+from mast_zenoh.run_folder.finding import sentence
 from mast_zenoh.runs.events import first_changes
 from mast_zenoh.runs.interposers import interposers
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.comparison import Reference, same_ways
-from mast_zenoh.show.findings import details, headline, of_compared, outcome
+from mast_zenoh.show.findings import found_in, headline, of_compared, outcome
 from mast_zenoh.show.findings.adversaries import attacks, effects, limits
 from mast_zenoh.show.findings.cars import worst
 from mast_zenoh.show.findings.words import text
@@ -74,7 +75,7 @@ def test_errors_of_a_car_elsewhere_are_attributed_by_the_run_alone(driven: Drive
     assert own.cause == ("adversary_1", "adversary_2")
     assert own in outcome(run, twin)
     assert (outcome(run, twin)[-1].kind, outcome(run, twin)[-1].what) == ("unattributed", "way")
-    assert details(run, twin) == details(run)
+    assert found_in(run, twin)["details"] == found_in(run)["details"]
     assert limits(run, twin) == limits(run)
 
 
@@ -114,13 +115,13 @@ def test_braking_by_the_rule_is_not_told_as_what_the_driver_did(driven: Driven) 
     shares = {"needless_brake_share": 0.59, "needless_brake_share_attack": 0.59, "missed_brake_share": 0.2}
     run.files.summary["driving"] = {"ego": {"mission": shares}}
     twin.run.files.summary["driving"] = {"ego": {"mission": dict.fromkeys(shares, 0.0)}}
-    assert not [each for each in details(run, twin) if each.kind == "braking"]
+    assert not [each for each in found_in(run, twin)["details"] if each.kind == "braking"]
     page = write_page(run, reference=twin).read_text()
     section = page.partition('<h2 id="driving">')[2]
     assert section.startswith("What it would")
     assert "59.0% by attack" in section, "the table still has it"
     del run.files.summary["driven"], twin.run.files.summary["driven"]
-    (braking,) = (each for each in details(run, twin) if each.kind == "braking")
+    (braking,) = (each for each in found_in(run, twin)["details"] if each.kind == "braking")
     assert (braking.what, braking.value) == ("needless", 0.59)
     assert '<h2 id="driving">What it would mean for driving</h2>\n<div' in write_page(run, reference=twin).read_text()
 
@@ -181,7 +182,7 @@ def test_changed_commands_have_words_of_their_own(number: int, driven: Driven) -
     table["wire"] = np.where(own, "agent/ego/command", table["wire"]).astype(object)
     table["effect"] = np.where(own, "reframed", table["effect"]).astype(object)
     (adversary,) = (each for each in interposers(run) if each.name == "adversary_1")
-    assert effects(adversary) == (f"{number} command{'s' * (number > 1)} changed",)
+    assert [sentence(each) for each in effects(adversary)] == [f"{number} command{'s' * (number > 1)} changed"]
     assert attacks(run)[0].where == "agent/ego/command"
     assert adversary.other == f"{number} commands changed"
     columns = ("adversary", "kind", "object", "frame", "error_m_centre", "error_m_ego")

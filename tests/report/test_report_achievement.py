@@ -11,7 +11,7 @@ from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.comparison import Reference
 from mast_zenoh.show.figures.over_time import driving_over_time
-from mast_zenoh.show.findings import changes, details
+from mast_zenoh.show.findings import changes, found_in
 from mast_zenoh.show.findings.adversaries import limits
 from mast_zenoh.show.findings.words import said
 from mast_zenoh.show.tables.of_run import achieved_table, driving_table
@@ -85,11 +85,11 @@ def of_node(**changes: Any) -> dict[str, Any]:
         (idle() | noted("no target"), UNCHANGED),
         (
             idle() | of_node(failures=[{"handler": "detections", "count": 3}]),
-            ("", "failed", "detections failed 3 times"),
+            ("", "failed", "detections failed 3 times", ""),
         ),
         (
             idle() | of_node(failures=[], exit=1, ended="exit code 1"),
-            ("", "failed", "exit code 1"),
+            ("", "failed", "exit code 1", ""),
         ),
         ({"metrics": {"interposers": ...}}, ("", "unmeasured", "")),
     ],
@@ -205,7 +205,7 @@ def test_an_agent_whose_adversary_changes_the_same_object_does_not_see_it(
 def test_adversary_before_another_agent_is_not_judged_by_the_ego(attacked: Run) -> None:
     legs = [{"key": "cc/picture/@tap/infra_1/0", "from": "adversary_1", "to": ["infra_1"], "before": "infra_1"}]
     attacked.files.wiring["wires"].append({"key": "cc/picture", "message": "picture", "legs": legs})
-    assert why(attacked, None) == [("", "elsewhere", "infra_1")]
+    assert why(attacked, None) == [("", "elsewhere", "infra_1", "")]
 
 
 def test_changes_blamed_in_the_headline_have_no_reason_for_limited_effect(attacked: Run) -> None:
@@ -276,7 +276,8 @@ def test_unattributed_increase_of_needless_braking_is_reported(run_of: RunOf, at
         reference.files.summary["driving"] = {"ego": {"mission": {share: before, f"{share}_attack": 0.0}}}
         needless = driving_table(attacked, reference, "unattacked").lines[-1][8]
         assert (f"{more} more" in needless) == bool(more)
-        told = [each.value for each in details(attacked, Reference(reference, "unattacked")) if each.kind == "braking"]
+        details = found_in(attacked, Reference(reference, "unattacked"))["details"]
+        told = [each.value for each in details if each.kind == "braking"]
         assert told == [attack] * bool(attack)
 
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mast_zenoh.run_folder.finding import Finding, sentence
 from mast_zenoh.runs.files import RunFiles
 from mast_zenoh.runs.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
 from mast_zenoh.runs.run import Run
@@ -109,14 +110,14 @@ def test_adversary_on_the_downlink_is_described_by_its_victim_alone() -> None:
     run = run_of([wire("cc/picture", ("mallory",), before="ego")], {"mallory": MEASURED | {"wires": ["cc/picture"]}})
     assert only(run).before == ("ego",)
     assert adversaries_by_agent(interposers(run)) == {"ego": ("mallory",)}
-    assert [each.where for each in positions(run)] == ["the path from the command centre to ego"]
+    assert [each.parts for each in positions(run)] == [(Finding("place", what="path", where="ego"),)]
     (row,) = wire_rows(run)
     assert row.before == {"mallory": ("ego",)}
     assert "<strong>mallory</strong> <small>(only before ego)</small>" in rendered_wires([row])
     assert "only before ego" in only(run).place
     on_trunk = run_of([wire("cc/picture", ("mallory",))])
     assert only(on_trunk).place == "cc/picture"
-    assert [each.where for each in positions(on_trunk)] == ["the wire cc/picture"]
+    assert [each.parts for each in positions(on_trunk)] == [(Finding("place", what="wire", where="cc/picture"),)]
 
 
 def rendered_wires(rows: list[WireRow]) -> str:
@@ -159,7 +160,7 @@ def test_effects_distinguish_rows_objects_clutter_and_messages(
     run = run_of([wire("agent/infra_1/tracks", ("mallory",))], {"mallory": MEASURED | {"effects": measured}})
     if manipulated is not None:
         run.files.targets = targets("mallory", *manipulated)
-    assert ", ".join(effects(only(run))) == words
+    assert ", ".join(map(sentence, effects(only(run)))) == words
 
 
 LIVE = {"action": "intercept", "node": "mallory", "wires": ["agent/infra_1/tracks"], "frame": 44}

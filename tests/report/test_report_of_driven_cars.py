@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ from page_blocks import unpack
 from run_samples import FRAMES
 from table_writing import write_table
 
-from mast_zenoh.runs.driven import course_of, reason_of, twin_course
+from mast_zenoh.run_folder.finding import sentence
+from mast_zenoh.runs.driven import course_of, happened_to, twin_course
 from mast_zenoh.runs.files import Table
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.comparison import Reference
@@ -147,7 +149,12 @@ CARS: dict[str, dict[str, Any]] = {
 
 def test_what_happened_to_cars_is_told_collisions_first(both: tuple[Run, Reference]) -> None:
     run, twin = both
-    lines = [f"{kind} by {by}, {needless}: {reason_of(caused(kind, by, needless))}" for kind, by, needless in KINDS]
+    run.files.summary["driven"] = {"ego": happened(brakes=[caused(*each) for each in KINDS])}
+    brakes = [sentence(replace(each, when=None, other=None)) for each in happened_to(run, "ego")]
+    reasons = [each.partition("m/s² ")[2] for each in brakes]
+    lines = [
+        f"{kind} by {by}, {needless}: {reason}" for (kind, by, needless), reason in zip(KINDS, reasons, strict=True)
+    ]
     for name, cars in CARS.items():
         run.files.summary["driven"] = cars
         lines += [f"{name}:", *told(run, twin if len(cars) == 1 else None), ""]

@@ -10,6 +10,7 @@ from kept_texts import visible
 from rich.console import Console
 
 import mast_zenoh as mast
+from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.events import spans
 from mast_zenoh.runs.files import RunFiles
 from mast_zenoh.runs.run import Run
@@ -64,7 +65,8 @@ def test_the_headline_names_the_agent_in_whose_picture_the_errors_are(pair: Run)
     assert per_frame > 0.0
     assert pair.scores_of("picture", "ego")["fp_split"]["attack"] == 0.0
     where, unchanged, change = outcome(pair)
-    assert (where.kind, where.where) == ("adversaries", "the path from infra_1 to mobile_1")
+    assert where.kind == "adversaries"
+    assert where.parts == (Finding("place", ("infra_1",), "path", where="mobile_1"),)
     assert (unchanged.kind, unchanged.who, unchanged.where) == ("unchanged", ("ego",), "picture")
     assert (change.who, change.where, change.value) == (("mobile_1",), "picture", per_frame)
     assert change.cause == ("adversary_1",)
@@ -72,12 +74,13 @@ def test_the_headline_names_the_agent_in_whose_picture_the_errors_are(pair: Run)
 
 
 def test_an_adversary_on_the_way_to_another_peer_had_no_effect_on_the_ego(pair: Run) -> None:
-    assert [(each.cause, each.where) for each in limits(pair)] == [(("elsewhere",), "mobile_1")]
+    assert [each.cause for each in limits(pair)] == [("elsewhere", "mobile_1")]
     assert attacks(pair)[0].where.endswith(" only before peer_mobile_1")
 
 
 def test_agents_are_not_compromised_by_changes_on_the_way_to_one_listener(heard: Run) -> None:
-    assert [each.where for each in positions(heard)] == ["the path from 3 agents to the ego"]
+    (path,) = positions(heard)[0].parts
+    assert (len(path.who), path.where) == (3, "ego")
     judged = {each.what: each.who for each in of_defence(heard)}
     assert "never suspended" not in judged
     assert set(judged["altered on the way"]) == {"mobile_1", "infra_1", "infra_2"}
@@ -90,10 +93,11 @@ def test_of_several_judges_the_sentence_names_the_one_that_it_is_about(heard: Ru
 
 def test_slander_is_described_as_what_it_is(gossip: Run) -> None:
     (did,) = (each for each in attacks(gossip) if each.who == ("slanderer_1",))
-    assert did.cause[0].endswith(" messages slandered")
+    (slander,) = did.parts
+    assert (slander.what, slander.unit) == ("slandered", "messages")
     (reason,) = (each for each in limits(gossip) if each.who == ("slanderer_1",))
     assert reason.cause == ("no object",)
-    assert reason.where.endswith(" messages slandered")
+    assert reason.parts == (slander,)
 
 
 def test_the_headline_counts_only_objects_of_the_causes_that_it_names(gossip: Run) -> None:

@@ -258,7 +258,7 @@ def test_errors_are_due_to_the_link_that_acted_not_to_faults_on_wires_that_nothi
     causes = {cause for each in run.findings if each.kind == "change" for cause in each.cause}
     assert causes == {"link_infra_2"}
     assert [each.who for each in limits(run) if each.cause == ("no estimate",)] == [("link_agent_infra_1_status",)]
-    idle = [(*each.who, each.what, each.value) for each in run.findings if each.kind == "idle"]
+    idle = [(*each.who, each.what, each.when and each.when[0]) for each in run.findings if each.kind == "idle"]
     assert idle == [("Loss scene/truth", "fault", 1.0)]
 
 

@@ -19,7 +19,7 @@ LISTS = pytest.mark.parametrize("names", [[], ["infra_3"], ["infra_4", "infra_1"
 
 def idle(part: str, named: str) -> tuple[Finding, ...]:
     """What is said of a part that names no agent, node or host."""
-    return (Finding("idle", (part,), "names nothing", unit=named),)
+    return (Finding("idle", (part,), f"no {named}"),)
 
 
 def resolved(name: str, *settings: str, **options: Any) -> Resolved:

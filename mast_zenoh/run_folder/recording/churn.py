@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from mast_zenoh.errors import NodeLost, RunFolderError
-from mast_zenoh.run_folder import read_object
+from mast_zenoh.run_folder import finding, read_object
+from mast_zenoh.run_folder.finding import Finding
 
-#: The events of a node, and their wording.
+#: The events of a node.
 LOST, BACK = "lost", "back"
-_WORDS = {LOST: "was lost", BACK: "came back"}
 
 #: As in run.json: {"frame": the frame before which it happened, "node": its name, "what": LOST or BACK}.
 Churn = Sequence[Mapping[str, Any]]
@@ -20,7 +20,12 @@ Churn = Sequence[Mapping[str, Any]]
 
 def sentence(churn: Churn) -> str:
     """The events in their order, as text: `infra_2 was lost before frame 40`."""
-    return "; ".join(f"{event['node']} {_WORDS[event['what']]} before frame {event['frame']}" for event in churn)
+    return "; ".join(map(finding.sentence, events(churn)))
+
+
+def events(churn: Churn) -> tuple[Finding, ...]:
+    """A finding for each event, in their order."""
+    return tuple(Finding("presence", (each["node"],), each["what"], each["frame"], unit="frame") for each in churn)
 
 
 def error(churn: Churn) -> NodeLost:

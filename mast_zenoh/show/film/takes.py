@@ -134,8 +134,8 @@ class Attacks:
         here = rows(self._effects, self._effects["frame"] == frame)
         changes = Counter(here["effect"].astype(str).tolist())
         names = tuple(sorted(set(here["interposer"].astype(str).tolist())))
-        did = tuple(f"{count} {effect}" for effect, count in sorted(changes.items()))
-        return Finding("attacked", names, "on", cause=did)
+        did = tuple(Finding("effect", what=effect, value=count) for effect, count in sorted(changes.items()))
+        return Finding("attacked", names, "on", parts=did)
 
 
 class Captions:

@@ -22,18 +22,20 @@ from mast_zenoh.show.findings.words import said, text
 
 
 def found_in(run: Run, reference: Reference | None = None) -> dict[str, list[Finding]]:
-    """Everything that is worth saying about a run, by what it is about, in the order in which it is said.
+    """Everything that is worth saying about a run, by what it is about, in the order in which page and terminal say it.
 
-    headline: how it failed, or else its outcome;  details: the other results;  cars, attacks, defence, periods,
-    pictures: what these did, were or lasted;  limits: why attacks had limited effect;  notices: what its launcher noted
+    headline: how it failed, or else its outcome;  details: the outcome of one that failed, then the other results
+    attacks, cars, defence, periods, pictures: what these did, were or lasted;  limits: why attacks had limited effect
+    notices: what its launcher noted
 
     reference: the run that it is compared with, such as its unattacked twin; None: by its own measurements
     """
+    failed, told = results.status(run), outcome(run, reference)
     return {
-        "headline": results.status(run) or outcome(run, reference),
-        "details": details(run, reference),
-        "cars": cars.of_cars(run, reference),
+        "headline": failed or told,
+        "details": [*(told if failed else []), *[each for each in _details(run, reference) if each not in told]],
         "attacks": adversaries.attacks(run),
+        "cars": cars.of_cars(run, reference),
         "limits": adversaries.limits(run, reference),
         "defence": defence.of_defence(run),
         "periods": defence.periods(run),
@@ -52,7 +54,7 @@ def write(run: Run, found: Mapping[str, Sequence[Finding]]) -> None:
 
     found: all findings of the run; notices have their words from run.json, as it may be of another version
     """
-    texts = [each["text"] for each in run.files.record.get("notices", ())]
+    texts = [each["text"] for each in run.files.record.get("notices") or ()]
     every = [(each, " ".join(said(run, [each]))) for name, part in found.items() if name != "notices" for each in part]
     every += zip(found["notices"], texts, strict=True)
     write_json(run.path / "findings.json", finite([asdict(each) | {"text": words} for each, words in every]))
@@ -69,19 +71,17 @@ def outcome(run: Run, reference: Reference | None = None) -> list[Finding]:
     return [*results.unsound(reference), *lost, *cars.worst(run, reference), *results.of_scores(run, reference)]
 
 
-def details(run: Run, reference: Reference | None = None) -> list[Finding]:
-    """What the paragraph below the headline says: of a run that failed its outcome, then what else there is to say."""
-    over, told = of_errors(run, reference), outcome(run, reference)
+def _details(run: Run, reference: Reference | None) -> list[Finding]:
+    """What there is to say of the scores besides the outcome, which may have said some of it."""
     failed = tuple(str(each["name"]) for each in run.files.checks.get("checks", ()) if not each["ok"])
-    every = [
+    return [
         *results.missed(run),
         *results.other_changes(run, reference),
-        *results.during(run, over),
+        *results.during(run, of_errors(run, reference)),
         *results.braking(run),
         *results.faults(run),
         *[Finding("verdict", failed, "checks")] * bool(failed),
     ]
-    return [*(told if results.status(run) else []), *[each for each in every if each not in told]]
 
 
 def of_compared(runs: Mapping[str, Run], reference: Reference) -> tuple[str, list[str]]:

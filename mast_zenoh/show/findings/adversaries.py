@@ -12,7 +12,6 @@ from mast_zenoh.arrays.states import Bools
 from mast_zenoh.metrics.achievement import DISPLACED_M
 from mast_zenoh.metrics.assignment import Places, nearest, occurs
 from mast_zenoh.metrics.estimates import LOCAL, PICTURE
-from mast_zenoh.metrics.study_results import plural
 from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.files import Table, are_in, column, rows
 from mast_zenoh.runs.interposers import BAD, OF_OBJECTS, WITH_COLUMN, Interposer, hostile, interposers
@@ -22,10 +21,6 @@ from mast_zenoh.show.findings.causes import changed_for_nothing, culprit_names, 
 from mast_zenoh.show.findings.changes import DISPLACED, FALSE, IDENTITY, MISSED, largest_change, scored
 from mast_zenoh.wiring.model import peer_of
 
-#: Agents that are named as senders; more are counted.
-_MOST_SENDERS = 2
-#: Effects that need other words.
-_WORDS = {"reframed": "changed outside their objects"}
 #: Lidar points with which an agent detects an object, as in `seen_by_others` of targets.parquet.
 _MIN_POINTS = 5
 
@@ -40,32 +35,30 @@ def positions(run: Run) -> list[Finding]:
         what = "unmeasured" if unmeasured else "late" if late else "idle"
     acting = [each for each in adversaries if what != "compromised" or each.changed or each.effects is None]
     places = _places(run, acting)
-    return [Finding("adversaries", who, what, where=" and ".join(places))] if places else []
+    return [Finding("adversaries", who, what, parts=tuple(places))] if places else []
 
 
-def _places(run: Run, adversaries: Sequence[Interposer]) -> list[str]:
-    """`2 of 4 roadside sensors`, `the path from infra_1 to mobile_1`, `the wire cc/picture`."""
+def _places(run: Run, adversaries: Sequence[Interposer]) -> list[Finding]:
+    """How many agents of each kind they are on, the paths to single subscribers from agents, and other wires."""
     kinds = {agent.name: agent.kind for agent in run.files.scene.agents} if run.files.scene else {}
     compromised = {agent for each in adversaries if not each.before for agent in each.agents}
     names = set(kinds) or {*run.files.summary.get("agents", {}), *compromised}
     places = []
-    for kind, noun in (("static", "roadside sensor"), ("mobile", "vehicle")):
+    for kind in ("static", "mobile"):
         group = {each for each in names if kinds.get(each, "static" if each.startswith("infra") else "mobile") == kind}
         if number := len(group & compromised):
-            places.append(f"{number} of {plural(len(group), noun)}")
+            places.append(Finding("place", what=kind, value=number, other=len(group), unit="agents"))
     for before in dict.fromkeys(before for each in adversaries for before in each.before):
         senders = {agent for each in adversaries if before in each.before for agent in each.agents}
-        source = plural(len(senders), "agent") if len(senders) > _MOST_SENDERS else " and ".join(sorted(senders))
-        places.append(f"the path from {source or 'the command centre'} to {_listeners(run, [before])}")
+        places.append(Finding("place", tuple(sorted(senders)), "path", where=_listeners(run, [before])[0]))
     wires = [wire for each in adversaries if not each.agents and not each.before for wire in each.wires]
-    return places + [f"the wire {wire}" for wire in dict.fromkeys(wires)]
+    return places + [Finding("place", what="wire", where=wire) for wire in dict.fromkeys(wires)]
 
 
-def _listeners(run: Run, before: Sequence[str]) -> str:
+def _listeners(run: Run, before: Sequence[str]) -> tuple[str, ...]:
     """The agents whose copy of messages alone passes through an adversary; other subscribers by their names."""
     agent_of_peer = {peer_of(agent): agent for agent in run.agents}
-    names = [agent_of_peer.get(each, each) for each in before]
-    return " and ".join("the ego" if name == run.ego == "ego" else name for name in names)
+    return tuple(agent_of_peer.get(each, each) for each in before)
 
 
 def altered_on_the_way(run: Run) -> set[str]:
@@ -84,8 +77,9 @@ def attacks(run: Run) -> list[Finding]:
         if run.manipulations is not None:
             frames = run.manipulations["frame"][run.manipulations["interposer"] == each.name]
             when = period(run, int(frames.min()), int(frames.max())) if len(frames) else None
-        did = ("not measured",) if each.effects is None else effects(each)
-        result.append(Finding("attack", (each.name,), each.description, each.changed, None, "", each.place, when, did))
+        changed = None if each.effects is None else each.changed
+        described = (each.name,), each.description, changed, None, "", each.place, when
+        result.append(Finding("attack", *described, parts=effects(each)))
         if each.verdict in BAD:
             result.append(Finding("verdict", (each.name,), each.verdict, each.failed_frames))
     directors = tuple(name for name in run.files.record.get("nodes", {}) if run.role(name) == "coordinator")
@@ -96,20 +90,17 @@ def attacks(run: Run) -> list[Finding]:
     return result
 
 
-def effects(interposer: Interposer) -> tuple[str, ...]:
-    """Measured effects: `478 rows of 6 objects inserted`, `8 messages dropped`, `110 views changed`."""
+def effects(interposer: Interposer) -> tuple[Finding, ...]:
+    """Measured effects: how many messages, or rows and, as `other`, their objects; `who`: clutter, if some are that."""
     counts, parts = interposer.effects_besides_named, []
     for effect in dict.fromkeys((*WITH_COLUMN, *counts)):
         if not counts.get(effect) or effect == "unsettled":
             continue
-        what, done = plural(counts[effect], "message"), _WORDS.get(effect, effect)
-        if effect in OF_OBJECTS:
-            number, clutter = interposer.objects.get(effect, (0, False))
-            kinds = [plural(number, "object")] * bool(number) + ["clutter"] * clutter
-            what = f"{plural(counts[effect], 'row')} of {' and of '.join(kinds) or 'objects'}"
-        parts.append(f"{what} {done}")
-    named = ((interposer.views, "view"), (interposer.commands, "command"))
-    return (*parts, *(f"{plural(number, noun)} changed" for number, noun in named if number)) or ("nothing",)
+        number, clutter = interposer.objects.get(effect, (0, False))
+        who, unit = ("clutter",) * clutter, "rows" if effect in OF_OBJECTS else "messages"
+        parts.append(Finding("effect", who, effect, counts[effect], number or None, unit))
+    named = interposer.reframed.items()
+    return (*parts, *(Finding("effect", what="changed", value=number, unit=f"{of}s") for of, number in named))
 
 
 def period(run: Run, first: int, last: int) -> tuple[float, float]:
@@ -150,7 +141,7 @@ def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[Find
     if interposer.effects is None:
         yield limited(cause=("unmeasured",))
     elif not interposer.changed and interposer.failures:
-        yield limited(where=interposer.failures, cause=("failed",))
+        yield limited(cause=("failed", interposer.failures))
     elif not interposer.changed and start is not None:
         yield limited(value=start, unit="s", cause=("late",))
     elif not interposer.changed:
@@ -162,14 +153,14 @@ def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[Find
     elif (listeners and not listeners & {run.ego, peer_of(str(run.ego))}) and not (
         blamed_for and reaches(run, interposer.name, PICTURE)  # what another agent heard reached the ego
     ):
-        yield limited(where=_listeners(run, interposer.before), cause=("elsewhere",))
+        yield limited(cause=("elsewhere", *_listeners(run, interposer.before)))
     elif run.files.targets is not None:
         own = run.files.targets["adversary"] == interposer.name
         targets = rows(run.files.targets, own & are_in(run.files.sample, run.files.targets["frame"]))
         if len(targets["frame"]):
             yield from _reasons_of_targets(run, interposer, targets, blamed_for)
-        elif not blamed_for and not interposer.commands:  # what commands do is not in errors
-            yield limited(where=", ".join(effects(interposer)), cause=("no object",))
+        elif not blamed_for and "command" not in interposer.reframed:  # what commands do is not in errors
+            yield limited(cause=("no object",), parts=effects(interposer))
 
 
 #: The kinds of manipulations with a common reason, and the errors that they cause.

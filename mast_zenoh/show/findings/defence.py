@@ -40,8 +40,8 @@ def of_defence(run: Run) -> list[Finding]:
     if not any(agent["suspensions"] for agent in agents.values()):
         result.append(Finding("judged", what="suspended no agent"))
     for what, of in by_state.items():
-        each = tuple(f"{name} ({duration_s:.1f} s)" if duration_s else name for name, duration_s in of.items())
-        result.append(Finding("judged", tuple(of), what, max(of.values()) or None, unit="s", cause=each))
+        each = tuple(Finding("lasting", (name,), value=time_s or None, unit="s") for name, time_s in of.items())
+        result.append(Finding("judged", tuple(of), what, max(of.values()) or None, unit="s", parts=each))
     return [*result, *_relays(measured), *_withheld(run, measured)]
 
 
@@ -93,8 +93,8 @@ def of_pictures(run: Run) -> list[Finding]:
         if deceived["first_s"] is not None:
             share, when = deceived["share"]["mean"] or 0.0, (deceived["first_s"],) * 2
             lies_from_s = deceived.get("lies_from_s")
-            since = () if lies_from_s is None else (f"{lies_from_s:.1f} s",)
-            result.append(Finding("deceived", value=share, other=deceived["most"], when=when, cause=since))
+            since = () if lies_from_s is None else (Finding("first lie", when=(lies_from_s,) * 2),)
+            result.append(Finding("deceived", value=share, other=deceived["most"], when=when, parts=since))
         for what, each in pictures.get("consistency", {}).items():
             if each["above"]:
                 result.append(Finding("overconfident", tuple(each["above"]), what, each["nees"], pictures["count"]))

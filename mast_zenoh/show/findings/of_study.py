@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE
-from mast_zenoh.metrics.measures import COLUMNS
+from mast_zenoh.metrics.measures import SUMMARY_NAMES
 from mast_zenoh.metrics.study_results import (
     LEVEL,
     Statistic,
@@ -18,6 +18,8 @@ from mast_zenoh.metrics.study_results import (
     holm,
     plural,
 )
+from mast_zenoh.run_folder.finding import Finding, sentence
+from mast_zenoh.show.findings.changes import DISPLACED, ERRORS, FALSE, IDENTITY, MISSED
 from mast_zenoh.show.findings.words import of_study
 from mast_zenoh.show.tables.study_rows import (
     ADDED,
@@ -91,16 +93,16 @@ def compare(rows: Sequence[StudyRow], baseline: str) -> Comparisons:
     return Comparisons(adjusted, clearest(counted), len(tested) - len(counted))
 
 
-#: By metric: the name of what an attack changes, and the phrase for a change.
+#: By metric: the name of what an attack changes, and its kind of error.
 _CHANGES = {
-    "fp_iob": ("false objects", "{size} {more} false objects a frame"),
-    "fn_iob": ("missed objects", "{size} {more} missed objects a frame"),
-    "id_switches_iob": ("identity switches", "{size} {more} identity switches a run"),
-    "rmse_m_iob": ("RMSE", "{size} m {more} RMSE"),
-    "length_error_m_iob": ("lengths", "{size} m {more} error in the lengths of matched objects"),
-    "width_error_m_iob": ("widths", "{size} m {more} error in the widths of matched objects"),
-    "heading_error_deg_iob": ("headings", "{size}\u00b0 {more} error in the headings of matched objects"),
-    "velocity_error_mps_iob": ("velocities", "{size} m/s {more} error in the velocities of matched objects"),
+    "fp_iob": ("false objects", FALSE),
+    "fn_iob": ("missed objects", MISSED),
+    "id_switches_iob": ("identity switches", IDENTITY),
+    "rmse_m_iob": ("RMSE", DISPLACED),
+    "length_error_m_iob": ("lengths", "length"),
+    "width_error_m_iob": ("widths", "width"),
+    "heading_error_deg_iob": ("headings", "heading"),
+    "velocity_error_mps_iob": ("velocities", "velocity"),
 }
 _COUNTED = ("fp_iob", "fn_iob", "id_switches_iob")
 #: The smallest change of other metrics that the headline reports, in their units.
@@ -230,8 +232,9 @@ def _sentence(change: _Change) -> str:
     sign = 1.0 if estimate.value >= 0.0 else -1.0
     ends = sorted((sign * estimate.low, sign * estimate.high))
     positive = estimate._replace(value=sign * estimate.value, low=ends[0], high=ends[1])
-    more = "more" if sign > 0 else "fewer" if column.metric in _COUNTED else "less"
-    text = _CHANGES[column.metric][1].format(size=value(positive), more=more)
+    kind = _CHANGES[column.metric][1]
+    difference = Finding("difference", what=kind, value=estimate.value, unit=ERRORS[kind].unit)
+    text = sentence(difference, value(positive))
     subject = ESTIMATES[column.estimator].subject
     return of_study("changed_in", label=row.label, subject=subject, text=text, each=estimate, positive=positive)[0]
 
@@ -244,7 +247,7 @@ def comparisons_made(comparisons: Comparisons) -> str:
 def is_of_user(row: StudyRow, series: StudySeries) -> bool:
     """Whether a series is a user's metric of one of the ego's main estimates."""
     metric, ego = series.metric, series.owner == row.ego and series.estimator in ESTIMATORS
-    return ego and metric.isidentifier() and metric not in COLUMNS and not metric.endswith(("_iob", "_ioe"))
+    return ego and metric.isidentifier() and metric not in SUMMARY_NAMES and not metric.endswith(("_iob", "_ioe"))
 
 
 def reservations(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:

@@ -41,7 +41,7 @@ def lost_in_real_time(run: Run) -> list[Finding]:
 
 def _lost(run: Run, what: str) -> Finding:
     events = run.files.record.get("churn") or ()
-    return Finding("ended", tuple(dict.fromkeys(e["node"] for e in events)), what, cause=(churn.sentence(events),))
+    return Finding("ended", tuple(dict.fromkeys(e["node"] for e in events)), what, parts=churn.events(events))
 
 
 def unsound(reference: Reference | None) -> list[Finding]:
@@ -66,7 +66,7 @@ def of_scores(run: Run, reference: Reference | None = None) -> list[Finding]:
         result += _unchanged(run, over, compared=reference is not None)
     else:
         if change.estimate == RECEIVED or (change.agent != run.ego and "pictures" in run.files.summary):
-            result.append(_same_errors(run, PICTURE, over))
+            result += _same_errors(run, PICTURE, over)
         result += [_finding(run, change, over), *_used(run, change, over)]
         if over is not None and (differences := other_differences(run, over.run)):
             also = "also " if attacking_nodes(run) - attacking_nodes(over.run) else ""
@@ -84,10 +84,12 @@ def _finding(run: Run, change: Change, over: Reference | None) -> Finding:
     return Finding("change", who, what, change.amount, None, unit, where, None, reasons, than)
 
 
-def _same_errors(run: Run, estimate: str, over: Reference | None) -> Finding:
-    """That the errors of an estimate are those of the reference, or that none is due to attacks."""
+def _same_errors(run: Run, estimate: str, over: Reference | None) -> list[Finding]:
+    """That the errors of an estimate are those of the reference, or that none is due to attacks, if there were some."""
+    if over is None and not hostile(run):
+        return []
     judge, than = (run.defence,) if run.defence and over is None else (), "" if over is None else over.name
-    return Finding("unchanged", (run.ego or "",), "errors", where=estimate, cause=judge, than=than)
+    return [Finding("unchanged", (run.ego or "",), "errors", where=estimate, cause=judge, than=than)]
 
 
 def _used(run: Run, change: Change, over: Reference | None) -> list[Finding]:
@@ -96,7 +98,7 @@ def _used(run: Run, change: Change, over: Reference | None) -> list[Finding]:
         return []
     of_mission = [each for each in changes.changes(run, over) if each.estimate == MISSION and each.weight != 0.0]
     if not of_mission:
-        return [_same_errors(run, MISSION, over)] * bool(run.scores_of(MISSION))
+        return _same_errors(run, MISSION, over) if run.scores_of(MISSION) else []
     kinds = (change.kind, FALSE, MISSED, IDENTITY)
     relevant = [each for kind in dict.fromkeys(kinds) for each in of_mission if each.kind == kind] or of_mission
     return [_finding(run, each, over) for each in relevant]
@@ -132,8 +134,9 @@ def braking(run: Run) -> list[Finding]:
 
 def faults(run: Run) -> list[Finding]:
     """The faults of the scenario and their beginnings."""
-    planned = tuple(f"{each['label']} from {each['at_s']:g} s" for each in run.timeline if each["kind"] == "fault")
-    return [Finding("faults", cause=planned)] * bool(planned)
+    planned = [each for each in run.timeline if each["kind"] == "fault"]
+    parts = tuple(Finding("fault", (str(each["label"]),), when=(each["at_s"],) * 2) for each in planned)
+    return [Finding("faults", parts=parts)] * bool(parts)
 
 
 def missed(run: Run) -> list[Finding]:
@@ -170,13 +173,13 @@ def during(run: Run, reference: Reference | None = None) -> list[Finding]:
     if not any(matters(run, each.name) for each in hostile(run) if each.changed):
         return []
     before = None if reference is None else score_during(reference.run, run, kind, estimate)
-    attacked = int(scored(run, np.unique(run.manipulations["frame"])).sum())
-    share = (
-        (f"{attacked} of {run.scored_frames[1] - run.scored_frames[0] + 1} scored frames",) if run.scored_frames else ()
-    )
+    attacked, share = int(scored(run, np.unique(run.manipulations["frame"])).sum()), list[Finding]()
+    if run.scored_frames:
+        of_frames = run.scored_frames[1] - run.scored_frames[0] + 1
+        share.append(Finding("attacked frames", value=attacked, other=of_frames, unit="frames"))
     who, when = (run.ego or "",), period(run, *run.attack_frames)
     unit, than = ERRORS[kind].unit, reference.name if reference is not None and before is not None else ""
-    return [Finding("during", who, kind, value, before, unit, estimate, when, share, than)]
+    return [Finding("during", who, kind, value, before, unit, estimate, when, (), than, tuple(share))]
 
 
 def score_during(run: Run, attacked: Run, kind: str, estimate: str) -> float | None:

@@ -11,7 +11,6 @@ from mast_zenoh.metrics.estimates import PICTURE, place_of
 from mast_zenoh.run_folder.finding import Finding, macros, sentence
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.tables import study_rows, text_table
-from mast_zenoh.show.tables.text_table import whole_percent
 
 
 def said(run: Run, findings: Iterable[Finding], *, capitals: bool = True) -> list[str]:
@@ -71,7 +70,6 @@ def paragraph(phrase: str, **data: Any) -> str:
 #: Filters of study_phrases.j2, besides those of phrases.j2.
 _OF_STUDIES: dict[str, Callable[..., str]] = {
     "number": text_table.number,
-    "whole_percent": whole_percent,
     "measured": text_table.measured,
     "percent": text_table.percent,
     "over_trials": study_rows.over_trials,

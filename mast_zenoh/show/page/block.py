@@ -464,7 +464,7 @@ def _events(
 def _first_successes(run: Run, judged: Judgements) -> list[Happening]:
     """The first error of each kind in the ego's copy of the picture that is due to each adversary."""
     result = []
-    for estimate, words in (("picture", "the picture"), ("mission", f"{run.ego} with the picture")):
+    for estimate in ("picture", "mission"):
         row = next((i for i, view in enumerate(judged.views) if view == (run.ego, estimate)), None)
         if row is None:
             continue
@@ -475,7 +475,7 @@ def _first_successes(run: Run, judged: Judgements) -> list[Happening]:
             if not len(places):
                 continue
             first = places[np.argmin(judged.boxes.group[places])]
-            text = event(words, meaning.outcome, str(meaning.by), str(meaning.cause))
+            text = event(str(meaning.by), meaning.outcome, estimate, str(meaning.cause), str(run.ego))
             x, y = (round(float(value), 2) for value in judged.boxes.position[first, :2])
             result.append(Happening(int(judged.boxes.group[first]), "effect", text, x, y))
     return result

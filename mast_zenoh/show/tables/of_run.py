@@ -7,13 +7,13 @@ from typing import Any
 
 from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE, TRUTH, subject_of
 from mast_zenoh.metrics.measures import metric_named
-from mast_zenoh.run_folder.finding import Finding
+from mast_zenoh.run_folder.finding import Finding, whole_percent
 from mast_zenoh.runs.events import doubts, suspensions
 from mast_zenoh.runs.interposers import hostile
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.findings.causes import reaches
 from mast_zenoh.show.tables.scores import score_of
-from mast_zenoh.show.tables.text_table import DASH, TextTable, number, whole_percent
+from mast_zenoh.show.tables.text_table import DASH, TextTable, number
 from mast_zenoh.tracking.base import OVERCONFIDENT
 
 ALL = "all"

@@ -17,7 +17,7 @@ from mast_zenoh.metrics.estimates import (
     column_name,
     rank_of,
 )
-from mast_zenoh.metrics.measures import COLUMNS, MEASURES, Quantity, metric_named, own_metrics
+from mast_zenoh.metrics.measures import MEASURES, SUMMARY_NAMES, Quantity, metric_named, own_metrics
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.tables.text_table import DASH, TextTable
 
@@ -140,7 +140,7 @@ def measures(
 
     described: `own_metrics` of metrics.json
     """
-    own = [name for of_run in scores for of_one in of_run.values() for name in of_one if name not in COLUMNS]
+    own = [name for of_run in scores for of_one in of_run.values() for name in of_one if name not in SUMMARY_NAMES]
     return [*MEASURES.values(), *(metric_named(name, described) for name in dict.fromkeys(own))]
 
 

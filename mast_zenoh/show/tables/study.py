@@ -9,7 +9,7 @@ from rich.console import Group
 from rich.text import Text
 
 from mast_zenoh.metrics import CAUSES
-from mast_zenoh.metrics.measures import COLUMNS
+from mast_zenoh.metrics.measures import SUMMARY_NAMES
 from mast_zenoh.metrics.study_results import Statistic, StudyFacts, StudyRow, StudySeries, shares
 from mast_zenoh.show.findings.of_study import (
     Comparisons,
@@ -28,7 +28,7 @@ from mast_zenoh.show.tables.study_rows import (
     COOPERATION,
     DEFENCE,
     ESTIMATORS,
-    MOSTLY_ZERO,
+    MOSTLY_ZERO_NOTE,
     PAPER,
     SCORES,
     Groups,
@@ -162,7 +162,7 @@ def _others(rows: Sequence[StudyRow]) -> TextTable:
     ]
     caption = paragraph("other_numbers")
     if any(row.estimates[each].mostly_zero for row in rows for each in series if each in row.estimates):
-        caption = f"{caption} {MOSTLY_ZERO}"
+        caption = f"{caption} {MOSTLY_ZERO_NOTE}"
     headings = ["", *(row.label for row in rows)]
     return TextTable("Other numbers of the ego", caption, headings, lines, 1, terminal=False)
 
@@ -215,7 +215,7 @@ def _table(
     headings = ["", *(column.heading for column in columns)]
     of_columns = ["", *(name for name, group_columns in groups for _ in group_columns)]
     if any(column.of(row).mostly_zero for row in rows for column in columns):
-        caption = f"{caption} {MOSTLY_ZERO}"
+        caption = f"{caption} {MOSTLY_ZERO_NOTE}"
     return TextTable(
         title, caption, headings, lines if groups else [], 1, groups=of_columns, terminal=terminal, brief=brief
     )
@@ -315,7 +315,7 @@ def _both_spreads(row: StudyRow, column: StudyColumn) -> str:
 
 def _of_users(rows: Sequence[StudyRow], scores: Sequence[StudyColumn]) -> list[StudyColumn]:
     """Columns of the metrics of an estimate that are not among its scores: the user's own."""
-    known, estimator = {column.metric for column in scores} | set(COLUMNS), scores[0].estimator
+    known, estimator = {column.metric for column in scores} | set(SUMMARY_NAMES), scores[0].estimator
     names = [
         series.metric
         for row in rows

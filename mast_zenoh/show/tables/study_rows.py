@@ -9,10 +9,11 @@ from typing import NamedTuple
 from mast_zenoh.metrics.estimates import ESTIMATES, MAIN
 from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.metrics.study_results import MIN_SEEDS, Statistic, StudyRow
-from mast_zenoh.show.tables.text_table import DASH, decimals_of, number, whole_percent
+from mast_zenoh.run_folder.finding import whole_percent
+from mast_zenoh.show.tables.text_table import DASH, decimals_of, number
 
 #: The warning of a table with such an increment.
-MOSTLY_ZERO = (
+MOSTLY_ZERO_NOTE = (
     'Warning: "(0 in N % [a, b])" marks a difference that is 0 in N % of the trials; a to b is the exact 95 % interval '
     "of that share. The mean has no interval: it would be too narrow."
 )

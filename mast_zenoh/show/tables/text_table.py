@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mast_zenoh.metrics.study_results import MIN_SEEDS, MOSTLY_ZERO, Row, Statistic
-from mast_zenoh.run_folder import finding
+from mast_zenoh.run_folder.finding import whole_percent
 
 #: Placeholder for an unknown number.
 DASH = "\u2013"
@@ -266,11 +266,6 @@ def number(value: float | None, digits: int = 2) -> str:
         return DASH
     text = f"{value:.{digits}f}"
     return text.replace("-", "" if float(text) == 0.0 else "\u2212")
-
-
-def whole_percent(share: float) -> str:
-    """A share in per cent, halves rounded up: 0.125 is `13`, 0.875 is `88`."""
-    return DASH if math.isnan(share) else finding.percent(share)
 
 
 def whole(each: Statistic) -> str:

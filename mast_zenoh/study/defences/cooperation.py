@@ -16,6 +16,7 @@ from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.metrics.causes import ATTACK_CAUSES
 from mast_zenoh.metrics.estimates import LOCAL, PICTURE
 from mast_zenoh.metrics.study_results import NAN, Row, Statistic, clearest
+from mast_zenoh.run_folder.finding import whole_percent
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.show.findings.words import of_study, paragraph
 from mast_zenoh.show.tables.text_table import (
@@ -27,7 +28,6 @@ from mast_zenoh.show.tables.text_table import (
     percent,
     shown,
     table_of_rows,
-    whole_percent,
 )
 from mast_zenoh.study.defences.kinds import Factors, Kind, few_trials
 from mast_zenoh.study.numbers import ego, scored_frames

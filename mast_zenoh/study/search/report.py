@@ -26,7 +26,7 @@ from mast_zenoh.show.figures.facets import curve
 from mast_zenoh.show.figures.style import LINE_STYLES, Figure, light_axes, plain
 from mast_zenoh.show.findings.words import of_study, paragraph
 from mast_zenoh.show.palette import INK, LOCAL, RUN_COLOURS
-from mast_zenoh.show.tables.study_rows import MOSTLY_ZERO, over_trials
+from mast_zenoh.show.tables.study_rows import MOSTLY_ZERO_NOTE, over_trials
 from mast_zenoh.show.tables.text_table import (
     DASH,
     ResultTables,
@@ -137,7 +137,7 @@ def _optimism(results: SearchResults) -> str:
         left_out=rows[SEARCHED]["held_out"].seeds_left_out(results.count),
     )
     if any(each.mostly_zero for of_label in rows.values() for each in of_label.numbers.values()):
-        sentences.append(MOSTLY_ZERO)
+        sentences.append(MOSTLY_ZERO_NOTE)
     return " ".join(sentences)
 
 
