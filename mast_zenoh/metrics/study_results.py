@@ -191,6 +191,7 @@ class StudyFacts:
     other_scenes:   labels of configurations whose scene or agents differ from the baseline's
     idle:           configurations whose attack never began
     environment:    Python, the packages and a hash of the code that the results depend on
+    left_out:       why results of the study's kind are not there
     """
 
     name: str
@@ -205,6 +206,7 @@ class StudyFacts:
     environment: Mapping[str, str]
     other_scenes: tuple[str, ...] = ()
     idle: tuple[IdleAttack, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     def titled(self, titles: Mapping[str, str]) -> StudyFacts:
         """A copy with configurations renamed; titles: new names by label."""

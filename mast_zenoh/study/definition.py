@@ -147,6 +147,16 @@ class Study:
         return (file,) if file.endswith(".py") else ()
 
     @property
+    def has_own_kind(self) -> bool:
+        """Whether its kind is a user's, and not one of this package."""
+        return self.kind is not None and not self.kind.__module__.startswith("mast_zenoh.")
+
+    def new_kind(self, seeds: Sequence[int]) -> Kind:
+        """What takes the measures of its trials with these seeds."""
+        assert self.kind is not None
+        return self.kind(self.factors, [scene.label for scene in self.scenes], seeds)
+
+    @property
     def factors(self) -> dict[str, Factors]:
         """By label of configuration, its factors."""
         return {each.label: each.factors for each in self.configurations}
@@ -276,6 +286,8 @@ def _kind(kind: Any, configurations: Sequence[Configuration]) -> type[Kind] | No
         return None
     valid = isinstance(kind, type) and issubclass(kind, Kind)
     _check(valid, f"kind: found {kind!r:.120}, expected a subclass of {Kind.__name__}")
+    missing = [*sorted(kind.__abstractmethods__), *(["name"] * (not isinstance(getattr(kind, "name", None), str)))]
+    _check(not missing, f"kind: {kind.__name__} has no {', '.join(missing)}")
     labels = {each.factors: each.label for each in configurations}
     for each in configurations:
         other = labels[each.factors]

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.errors import TrialsFailed
+from mast_zenoh.errors import ConfigurationError, TrialsFailed
 from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Statistic, StudyFacts, StudyRow, StudySeries
 from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.study import numbers, statistics
@@ -45,14 +45,21 @@ class StudyResult:
         """The main tables for the terminal."""
         from mast_zenoh.show.tables import study as study_table
 
-        if self.own is not None:
+        if self.own is not None and self.own.tables is not None:
             return self.own.tables.as_rich()
         return study_table.as_rich(self.rows, self.facts)
 
     def raise_failures(self) -> None:
-        """Raises TrialsFailed if any trial failed, with the command that runs each alone."""
+        """Raises TrialsFailed if any trial failed, with the command that runs each alone.
+
+        Raises ConfigurationError if results of the study's kind are left out.
+        """
         if self.facts.failed:
             raise trials_failed(self.facts.failed)
+        if self.facts.left_out:
+            reasons = "\n".join(f"  {each}" for each in self.facts.left_out)
+            todo = f"repair it, and repeat the command with --out {self.out} --resume"
+            raise ConfigurationError(f"left out of the results, of which all trials are kept: {todo}:\n{reasons}")
 
 
 def trials_failed(failed: Sequence[FailedTrial]) -> TrialsFailed:
@@ -80,8 +87,9 @@ def write(
 
     seeds = tuple(sorted({trial.seed for trial in trials}))
     scenes = tuple(scene.label for scene in study.scenes)
-    kind = study.kind(study.factors, scenes, seeds) if study.kind else None
+    kind = study.new_kind(seeds) if study.kind else None
     done, rows = _write_parquet(study, store, trials, seeds, kind)
+    own = kind.write(store.folder) if kind else searched
     facts = StudyFacts(
         name=study.name,
         baseline=study.baseline,
@@ -95,6 +103,7 @@ def write(
         environment=dict(pair for trial in trials for pair in trial.environment),
         other_scenes=_configurations_with_other_scenes(trials, study.baseline),
         idle=_idle_attacks(trials),
+        left_out=tuple(own.left_out) if own else (),
     )
     texts = {
         "table.csv": study_table.as_csv(rows, facts),
@@ -103,11 +112,11 @@ def write(
     }
     figures = {} if kind else figures_over_trials(rows, facts)
     names = ["results.parquet", "frames.parquet", *kinds.write_files(store.folder, texts, figures)]
-    own = kind.write(store.folder) if kind else searched
     if own is not None:
         figures = {**own.figures, **figures}
         names += own.names
-    parts = (own.tables.tables, own.tables.headline, own.tables.reading) if own is not None and own.on_page else ()
+    shown = own.tables if own is not None and own.on_page else None
+    parts = (shown.tables, shown.headline, shown.reading) if shown else ()
     report = write_trials_page(store.folder, rows, facts, figures, *parts)
     return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, own)
 
