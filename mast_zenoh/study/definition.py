@@ -137,12 +137,12 @@ class Study:
 
     @property
     def evaluation(self) -> str:
-        """The name of the kind by which each trial is evaluated; "": none."""
-        return name_of_kind(self.kind) if self.kind else ""
+        """The name of the kind by which each trial is evaluated; "": none, all is made of the stored outcomes."""
+        return name_of_kind(self.kind) if self.kind and self.kind.evaluate is not Kind.evaluate else ""
 
     @property
     def kind_files(self) -> tuple[str, ...]:
-        """The user's file that defines the kind, if any."""
+        """The user's file of the kind, if it evaluates trials: whatever is in it may be called from `evaluate`."""
         file = self.evaluation.rpartition(":")[0]
         return (file,) if file.endswith(".py") else ()
 

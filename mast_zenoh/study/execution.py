@@ -84,10 +84,9 @@ def _kind(trial: Trial) -> type[Kind] | None:
     """The kind of study that evaluates a trial in its run folder; None: nothing but the metrics is needed."""
     if not trial.evaluation:
         return None
-    from mast_zenoh.study.defences.kinds import Kind, kind_of  # other studies do without
+    from mast_zenoh.study.defences.kinds import kind_of  # other studies do without
 
-    kind = kind_of(trial.evaluation)
-    return None if kind.evaluate is Kind.evaluate else kind
+    return kind_of(trial.evaluation)
 
 
 def _is_disturbed(resolved: Resolved) -> bool:

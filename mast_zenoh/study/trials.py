@@ -168,10 +168,10 @@ def plan(study: Study, *, count: int, allow_failures: bool = False) -> list[Tria
             path, loaded = scenario.load(configuration.scenario, settings)
             resolved = scenario.resolve(path, loaded, seed=seed, frames=frames)
             scene = registry.build(resolved.scene, scenes.Scene, f"{path}: scene")
-            if study.kind and not study.kind_files:
+            if study.kind and not study.has_own_kind:
                 refuse_calibration_data(range(seed, seed + count), resolved.scene, str(study.path))
             environment = identity.environment(resolved.plugins.values())
-            user_files = identity.user_files(path, loaded, (*resolved.modules, *study.kind_files))
+            user_files = identity.user_files(path, study.path, (*resolved.modules, *study.kind_files))
             files = identity.files_key((*user_files, *scene.inputs()))
             idle = _idle_period(resolved)
             if study.kind and idle is not None:

@@ -264,18 +264,37 @@ def test_every_kind_writes_its_tables_even_of_no_trial(kind: type[Kind], tmp_pat
 def test_a_users_own_kind_is_one_file_that_workers_find_by_its_name(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(KIND)
     study = definition.load(str(tmp_path / "mine.py"))
-    assert kind_of(study.evaluation).__name__ == "Misses"
-    first = trials.plan(study.chosen(seed=0, frames=5, runtime="inproc"), count=1)
+    assert kind_of(name_of_kind(study.kind)).__name__ == "Misses"  # type: ignore[arg-type]
     finished = mast.study(tmp_path / "mine.py", jobs=1, out=tmp_path / "study")
     assert (finished.path / "misses.md").read_text().splitlines()[-1].startswith("| 2 | ")
     assert "1,fn," in (finished.path / "misses.csv").read_text()
     assert "Misses" in (finished.path / "report.html").read_text()
     rows = [row for row in finished.results.to_pylist() if row["estimator"] == "misses"]
     assert [(row["poles"], row["who"], row["metric"]) for row in rows] == [(1, "all", "fn"), (2, "all", "fn")]
-    (tmp_path / "mine.py").write_text(KIND.replace('Misses"', 'Missed"'))
-    trial.files_key.cache_clear()  # as in a new process
-    again = trials.plan(definition.load(str(tmp_path / "mine.py")).chosen(seed=0, frames=5, runtime="inproc"), count=1)
-    assert first[0].digest != again[0].digest, "a changed file is another trial"
+
+
+def digests_of(content: str, folder: Path) -> list[str]:
+    """Those of the trials of a study file, as in a new process."""
+    (folder / "mine.py").write_text(content)
+    trial.files_key.cache_clear()
+    study = definition.load(str(folder / "mine.py"))
+    return [each.digest for each in trials.plan(study.chosen(seed=0, frames=5, runtime="inproc"), count=1)]
+
+
+def test_only_what_changes_the_outcomes_of_trials_repeats_them(tmp_path: Path) -> None:
+    evaluates = KIND.replace(
+        "    def measures", "    def evaluate(run, compromised):\n        return {}\n\n    def measures"
+    )
+    changed = ('Misses"', 'Missed"')  # of a table
+    of_own = "from mast_zenoh.scenario import load\n\ndef scenario(scene='intersection:4', n_infrastructure=1):\n"
+    of_own += "    return load('baseline', [f'scene={scene}', f'n_infrastructure={n_infrastructure}'])[1]\n"
+    (tmp_path / "own.py").write_text(of_own)
+    in_folder = KIND.replace('scenario="baseline"', 'scenario="own.py"')
+    for content in (KIND, in_folder):
+        assert digests_of(content, tmp_path) == digests_of(content.replace(*changed), tmp_path)
+    assert digests_of(evaluates, tmp_path) != digests_of(evaluates.replace(*changed), tmp_path), "it may use all of it"
+    (tmp_path / "own.py").write_text(f"import mine\n{of_own}")
+    assert digests_of(in_folder, tmp_path) != digests_of(in_folder.replace(*changed), tmp_path), "a scenario imports it"
 
 
 def test_configurations_of_a_kind_have_factors_that_differ(tmp_path: Path) -> None:
