@@ -25,7 +25,10 @@ LEVEL = 0.05
 
 
 class StudySeries(NamedTuple):
-    """Identifies a number in results.parquet; `owner` is the column `who`."""
+    """A measure of a configuration: identifies a number in results.parquet.
+
+    owner: the column `who`; of rows "" for the agent whose estimates are scored, the ego
+    """
 
     owner: str
     estimator: str
@@ -111,41 +114,12 @@ class Statistic(NamedTuple):
         return self.p <= LEVEL or self.certain
 
 
-@dataclass(frozen=True, slots=True)
-class StudyRow:
-    """One configuration.
-
-    label: of the configuration; run: label of its run in the study file; point: grid parameters, name to value
-    ego:   name of the agent whose estimates are scored;  own: what users' metrics are, `own_metrics` of metrics.json
-    """
-
-    label: str
-    run: str
-    point: Mapping[str, object]
-    estimates: Mapping[StudySeries, Statistic]
-    ego: str = "ego"
-    own: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-
-    @property
-    def title(self) -> str:
-        """The label with parameter names: `attacked false_positives=2.0`."""
-        return (
-            " ".join([self.run, *(f"{name}={value}" for name, value in self.point.items())])
-            if self.point
-            else self.label
-        )
-
-    def get(self, metric: str, estimator: str = "picture", owner: str | None = None) -> Statistic:
-        """The estimate of a series, by default of the ego; all NaN if there is none."""
-        return self.estimates.get(StudySeries(owner or self.ego, estimator, metric), Statistic())
-
-
-def shares(row: StudyRow, outcome: str, estimator: str = "picture") -> dict[str, float]:
+def shares(row: Row, outcome: str, estimator: str = "picture") -> dict[str, float]:
     """Shares (0 to 1) of the causes of an estimate's errors; {} if there are none.
 
     outcome: "fp" (false objects) or "fn" (missed objects)
     """
-    counts = {cause: row.get(f"{outcome} {cause}", estimator).mean for cause in CAUSES}
+    counts = {cause: row.get(StudySeries("", estimator, f"{outcome} {cause}")).mean for cause in CAUSES}
     counts = {cause: mean for cause, mean in counts.items() if mean > 0.0}
     total = sum(counts.values())
     return {cause: mean / total for cause, mean in counts.items()}
@@ -192,6 +166,8 @@ class StudyFacts:
     idle:           configurations whose attack never began
     environment:    Python, the packages and a hash of the code that the results depend on
     left_out:       why results of the study's kind are not there
+    ego:            name of the agent whose estimates are scored
+    own:            what users' metrics are, `own_metrics` of metrics.json
     """
 
     name: str
@@ -207,6 +183,13 @@ class StudyFacts:
     other_scenes: tuple[str, ...] = ()
     idle: tuple[IdleAttack, ...] = ()
     left_out: tuple[str, ...] = ()
+    ego: str = "ego"
+    own: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """What follows the names of users' metrics: ` (objects)`."""
+        return {name: f" ({about['unit']})" for name, about in self.own.items() if about.get("unit")}
 
     def titled(self, titles: Mapping[str, str]) -> StudyFacts:
         """A copy with configurations renamed; titles: new names by label."""
@@ -287,23 +270,48 @@ class AgentTrustSeries:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
-    """Numbers over the trials of one cell.
+    """Numbers over the trials of one cell, or of one configuration.
 
-    of: what it is of, by name;  trials: their number, or that of pairs
-    numbers: by measure
+    of: what it is of, by name; of a configuration its label (`configuration`), and parameters of the grid
+    trials: their number, or that of pairs
+    numbers: by measure, a name or a StudySeries
     """
 
     of: dict[str, Any]
     trials: int
-    numbers: Mapping[str, Statistic]
+    numbers: Mapping[Any, Statistic]
 
-    def __getitem__(self, measure: str) -> Statistic:
+    def __getitem__(self, measure: object) -> Statistic:
         return self.numbers[measure]
+
+    def get(self, measure: object) -> Statistic:
+        """The number of a measure; all NaN if there is none."""
+        return self.numbers.get(measure, Statistic())
 
     @property
     def idle(self) -> bool:
         """Whether adversaries lied in none of the runs, so that their attack did not take place (`attacked`)."""
         return "attacked" in self.numbers and self.numbers["attacked"].value == 0.0
+
+    @property
+    def configuration(self) -> str:
+        """The label of a configuration."""
+        return str(self.of["configuration"])
+
+    @property
+    def point(self) -> dict[str, Any]:
+        """The parameters of the grid of a configuration, by name."""
+        return {name: value for name, value in self.of.items() if name != "configuration"}
+
+    @property
+    def run(self) -> str:
+        """The label of a configuration's run in the study file: its own without the values of parameters."""
+        return self.configuration.removesuffix("".join(f"-{value}" for value in self.point.values()))
+
+    @property
+    def title(self) -> str:
+        """The label of a configuration with parameter names: `attacked false_positives=2.0`."""
+        return " ".join([self.run, *(f"{name}={value}" for name, value in self.point.items())])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ import pyarrow
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, TrialsFailed
-from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Statistic, StudyFacts, StudyRow, StudySeries
+from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Row, Statistic, StudyFacts, StudySeries
 from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.study import numbers, statistics
 from mast_zenoh.study.defences import kinds
@@ -35,7 +35,7 @@ class StudyResult:
     """
 
     out: Path
-    rows: list[StudyRow]
+    rows: list[Row]
     facts: StudyFacts
     files: list[Path]
     report: Path
@@ -88,7 +88,8 @@ def write(
     seeds = tuple(sorted({trial.seed for trial in trials}))
     scenes = tuple(scene.label for scene in study.scenes)
     kind = study.new_kind(seeds) if study.kind else None
-    done, rows = _write_parquet(study, store, trials, seeds, kind)
+    done, samples = _write_parquet(study, store, trials, seeds, kind)
+    rows = samples.rows()
     own = kind.write(store.folder) if kind else searched
     facts = StudyFacts(
         name=study.name,
@@ -104,6 +105,8 @@ def write(
         other_scenes=_configurations_with_other_scenes(trials, study.baseline),
         idle=_idle_attacks(trials),
         left_out=tuple(own.left_out) if own else (),
+        ego=samples.ego,
+        own=samples.own,
     )
     texts = {
         "table.csv": study_table.as_csv(rows, facts),
@@ -123,10 +126,10 @@ def write(
 
 def _write_parquet(
     study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int], kind: kinds.Kind | None
-) -> tuple[Counter[str], list[StudyRow]]:
+) -> tuple[Counter[str], Samples]:
     """Write results.parquet and frames.parquet; add the trials to `kind`.
 
-    Returns the numbers of finished trials by configuration, and the table rows.
+    Returns the numbers of finished trials by configuration, and their numbers.
     Only the trials of one scene and seed are in memory at a time.
     """
     no_number = to_arrow(numbers.columns(trials[0], []))
@@ -152,13 +155,15 @@ def _write_parquet(
                 trial_file.append(per_trial.add(to_arrow(numbers.columns(outcome.trial, trial_numbers)), label))
                 frame_file.append(per_frame.add(to_arrow(numbers.frames(outcome)), label))
                 done[label] += 1
-    return done, samples.rows()
+    return done, samples
 
 
 class Samples:
     """The reported numbers, by configuration.
 
     Of the ego, driven cars, compromised agents, achievements, the defence, pictures and the channel.
+
+    ego: name of the agent whose estimates are scored;  own: users' metrics, `own_metrics` of metrics.json
     """
 
     def __init__(self, study: Study, seeds: Sequence[int]) -> None:
@@ -168,14 +173,18 @@ class Samples:
         self._seed = {seed: index for index, seed in enumerate(seeds)}
         self._cells: dict[str, dict[StudySeries, Floats]] = {each.label: {} for each in study.configurations}
         self._rates: set[StudySeries] = set()
-        self._own: dict[str, Any] = {}  # users' metrics, `own_metrics` of metrics.json
-        self._ego = ""
+        self.own: dict[str, Any] = {}
+        self.ego = "ego"
+        self._trials: Counter[str] = Counter()
 
     def add(self, outcome: TrialOutcome, trial_numbers: Iterable[Number]) -> None:
         """Add the numbers of a trial, `numbers.values`."""
-        self._ego = agent = self._ego or ego(outcome.metrics)
-        self._own |= outcome.metrics.get("own_metrics", {})
         trial = outcome.trial
+        if not self._trials:
+            self.ego = ego(outcome.metrics)
+        agent = self.ego
+        self._trials[trial.configuration] += 1
+        self.own |= outcome.metrics.get("own_metrics", {})
         cell = self._scene[trial.scene], self._seed[trial.seed]
         cells = self._cells[trial.configuration]
         for number in trial_numbers:
@@ -183,26 +192,23 @@ class Samples:
                 continue
             of_all = number.metric in COOPERATION.get(number.estimator, ())
             if number.owner in (agent, COMPROMISED) or number.estimator in (ACHIEVED, DEFENCE, DRIVEN) or of_all:
-                series = StudySeries(*number[:3])
+                series = StudySeries("" if number.owner == agent else number.owner, number.estimator, number.metric)
                 if series not in cells:
                     cells[series] = np.full((3, len(self._scene), len(self._seed)), NAN)
                 cells[series][:, *cell] = number.value, number.std, number.frames
                 if number.binary:
                     self._rates.add(series)
 
-    def rows(self) -> list[StudyRow]:
+    def rows(self) -> list[Row]:
         """A row per configuration."""
         return [
-            StudyRow(
-                label=configuration.label,
-                run=configuration.run,
-                point=dict(configuration.point),
-                estimates={
-                    series: _estimate(series, *cell, rate=series in self._rates, own=self._own)
+            Row(
+                {"configuration": configuration.label, **dict(configuration.point)},
+                self._trials[configuration.label],
+                {
+                    series: _estimate(series, *cell, rate=series in self._rates, own=self.own)
                     for series, cell in self._cells[configuration.label].items()
                 },
-                ego=self._ego or "ego",
-                own=self._own,
             )
             for configuration in self._study.configurations
         ]

@@ -38,7 +38,7 @@ class Axis(NamedTuple):
     log: whether the axis may be logarithmic;  title: of its panels
     """
 
-    measure: str
+    measure: Any
     label: str
     factor: float = 1.0
     log: bool = False
@@ -326,7 +326,7 @@ def shortened(each: Statistic) -> str:
 def colour_panel(
     axes: Axes,
     cells: Sequence[Sequence[Row | None]],
-    measure: str,
+    measure: object,
     norm: Normalize,
     text: Callable[[Statistic], str] = shortened,
     size: float = _CELL_SIZE,
