@@ -286,6 +286,11 @@ def is_out_of_resources(error: BaseException) -> bool:
     return isinstance(error, MemoryError)
 
 
+def plural(count: float, noun: str) -> str:
+    """`1 seed`, `20 seeds`."""
+    return f"{count:.0f} {noun}{'' if count == 1 else 's'}"
+
+
 def place_of(error: Exception, modules: Collection[str]) -> str:
     """FILE:LINE of the last call in any of these modules that led to an error; "": none did."""
     trace = traceback.walk_tb(error.__traceback__)

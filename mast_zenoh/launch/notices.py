@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
+from mast_zenoh.errors import plural
 from mast_zenoh.mesh.control.results import counts_of
 from mast_zenoh.metrics.estimates import subject_of
-from mast_zenoh.metrics.study_results import plural
 from mast_zenoh.outside import MOST_PUBLISHERS
 from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.run_folder.recording import churn

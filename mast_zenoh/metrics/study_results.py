@@ -10,7 +10,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
-from mast_zenoh.arrays.states import Floats
+from mast_zenoh.errors import plural
 from mast_zenoh.metrics.causes import CAUSES
 
 NAN = float("nan")
@@ -35,7 +35,7 @@ class StudySeries(NamedTuple):
     metric: str
 
 
-#: How intervals were computed, see `study.defences.intervals`; or that there is none, as most differences are 0.
+#: How intervals were computed, see `study.statistics`; or that there is none, as most differences are 0.
 STUDENT, BOOTSTRAP, POISSON, BINOMIAL = "Student's t", "bootstrap over trials", "exact Poisson", "exact binomial"
 MOSTLY_ZERO = "none: mostly 0"
 
@@ -237,35 +237,9 @@ def _renamed(each: _Named, titles: Mapping[str, str]) -> _Named:
     return replace(each, configuration=titles.get(each.configuration, each.configuration))
 
 
-def plural(count: float, noun: str) -> str:
-    """`1 seed`, `20 seeds`."""
-    return f"{count:.0f} {noun}{'' if count == 1 else 's'}"
-
-
 def size_of(seeds: int, scenes: int) -> str:
     """Numbers of seeds and scenes in words: `2 seeds × 1 scene`."""
     return f"{plural(seeds, 'seed')} \u00d7 {plural(scenes, 'scene')}"
-
-
-#: Periods in s: beginning and end.
-Spans = list[tuple[float, float]]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AgentTrustSeries:
-    """The trust in one agent over time, next to its conduct.
-
-    time_s: (n,) s;  value: (n,) mean or log-odds
-    states: by name of a state, when it was in it
-    lies:   when it lied;  faults: type, beginning and end of its faults
-    """
-
-    agent: str
-    time_s: Floats
-    value: Floats
-    states: Mapping[str, Spans]
-    lies: Spans
-    faults: Sequence[tuple[str, float, float]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -312,40 +286,6 @@ class Row:
     def title(self) -> str:
         """The label of a configuration with parameter names: `attacked false_positives=2.0`."""
         return " ".join([self.run, *(f"{name}={value}" for name, value in self.point.items())])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Survival:
-    """Kaplan-Meier estimate (1958, JASA 53:457) of the share that is not detected yet.
-
-    time_s:     (k,) s, ascending, beginning with 0; the last is the longest time observed
-    undetected: (k,) share, 0 to 1, from that time on
-    detections, watched: numbers of detections, and of all that were watched
-    """
-
-    time_s: Floats
-    undetected: Floats
-    detections: int
-    watched: int
-
-    @property
-    def median_s(self) -> float:
-        """s until half are detected; NaN if fewer were, as far as they were watched."""
-        below = self.undetected <= 0.5
-        return float(self.time_s[below.argmax()]) if below.any() else float("nan")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrustPanel:
-    """The trust of one trial over time.
-
-    agents: those to show;  left_out: number of others;  end_s: s, of the run
-    """
-
-    title: str
-    agents: Sequence[AgentTrustSeries]
-    left_out: int
-    end_s: float
 
 
 Effect = TypeVar("Effect", bound=Hashable)

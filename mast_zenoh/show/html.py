@@ -15,7 +15,8 @@ from urllib.parse import quote
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from mast_zenoh.metrics.study_results import Row, StudyFacts, plural
+from mast_zenoh.errors import plural
+from mast_zenoh.metrics.study_results import Row, StudyFacts
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.frame import has_boxes

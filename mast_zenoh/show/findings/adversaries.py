@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from mast_zenoh.arrays.states import Bools
+from mast_zenoh.errors import plural
 from mast_zenoh.metrics.achievement import DISPLACED_M
 from mast_zenoh.metrics.assignment import Places, nearest, occurs
 from mast_zenoh.metrics.estimates import LOCAL, PICTURE
-from mast_zenoh.metrics.study_results import plural
 from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.files import Table, are_in, column, rows
 from mast_zenoh.runs.interposers import BAD, OF_OBJECTS, WITH_COLUMN, Interposer, hostile, interposers

@@ -6,18 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from mast_zenoh.errors import plural
 from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE
 from mast_zenoh.metrics.measures import COLUMNS
-from mast_zenoh.metrics.study_results import (
-    LEVEL,
-    Row,
-    Statistic,
-    StudyFacts,
-    StudySeries,
-    clearest,
-    holm,
-    plural,
-)
+from mast_zenoh.metrics.study_results import LEVEL, Row, Statistic, StudyFacts, StudySeries, clearest, holm
 from mast_zenoh.show.findings.words import of_study
 from mast_zenoh.show.tables.study_rows import (
     ADDED,

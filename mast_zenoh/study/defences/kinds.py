@@ -24,7 +24,7 @@ from mast_zenoh.errors import ConfigurationError, Interrupted, MastError, is_dis
 from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Statistic, size_of
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.show.tables.text_table import FEW_TRIALS, ResultTables
-from mast_zenoh.study.defences import intervals
+from mast_zenoh.study import statistics
 from mast_zenoh.study.trial import TrialKey, TrialOutcome
 
 if TYPE_CHECKING:
@@ -135,8 +135,8 @@ class Kind(ABC):
     def mean(
         self, values: ArrayLike, bounds: tuple[float, float] = (-math.inf, math.inf), *, paired: bool = False
     ) -> Statistic:
-        """The mean over the trials planned for a configuration (n,), in the study's order; see `intervals.mean`."""
-        return intervals.mean(values, bounds, scenes=len(self.scenes), paired=paired)
+        """The mean over the trials planned for a configuration (n,), in the study's order; see `statistics.mean`."""
+        return statistics.mean(values, bounds, scenes=len(self.scenes), paired=paired)
 
     @property
     def own(self) -> list[str]:
