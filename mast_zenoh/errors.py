@@ -38,7 +38,8 @@ from __future__ import annotations
 
 import difflib
 import errno
-from collections.abc import Iterable
+import traceback
+from collections.abc import Collection, Iterable
 
 
 class MastError(Exception):
@@ -283,6 +284,20 @@ def is_out_of_resources(error: BaseException) -> bool:
     if isinstance(error, ImportError):
         return any(words in str(error).lower() for words in _NO_MEMORY)
     return isinstance(error, MemoryError)
+
+
+def plural(count: float, noun: str) -> str:
+    """`1 seed`, `20 seeds`."""
+    return f"{count:.0f} {noun}{'' if count == 1 else 's'}"
+
+
+def place_of(error: Exception, modules: Collection[str]) -> str:
+    """FILE:LINE of the last call in any of these modules that led to an error; "": none did."""
+    trace = traceback.walk_tb(error.__traceback__)
+    places = [
+        f"{frame.f_code.co_filename}:{line}" for frame, line in trace if frame.f_globals.get("__name__") in modules
+    ]
+    return places[-1] if places else ""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

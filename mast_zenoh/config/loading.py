@@ -23,7 +23,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from mast_zenoh.config import bundle, registry
-from mast_zenoh.errors import ConfigurationError, NodeFileError, UntrustedCode, nearest
+from mast_zenoh.errors import ConfigurationError, NodeFileError, UntrustedCode, nearest, place_of
 from mast_zenoh.node import Node, check_handlers
 
 
@@ -54,10 +54,10 @@ def module(path: Path) -> ModuleType:
         spec.loader.exec_module(loaded)
     except Exception as error:
         del sys.modules[name]
-        line = error.lineno if isinstance(error, SyntaxError) else _line(error, path)
+        place = f"{path}:{error.lineno}" if isinstance(error, SyntaxError) else place_of(error, {name}) or f"{path}:0"
         if isinstance(error, ModuleNotFoundError) and error.name:
-            raise ConfigurationError(f"{path}:{line}: {_missing_module(error.name, path)}") from error
-        raise ConfigurationError(f"{path}:{line}: {type(error).__name__}: {error}") from error
+            raise ConfigurationError(f"{place}: {_missing_module(error.name, path)}") from error
+        raise ConfigurationError(f"{place}: {type(error).__name__}: {error}") from error
     finally:
         for folder in folders:
             sys.path.remove(str(folder))
@@ -312,15 +312,6 @@ def _with_valid_handlers(cls: type[Node], file: Path) -> type[Node]:
     except TypeError as error:
         raise NodeFileError(f"{file}: {error}") from None
     return cls
-
-
-def _line(error: Exception, path: Path) -> int:
-    line, trace = 0, error.__traceback__
-    while trace:
-        if trace.tb_frame.f_code.co_filename == str(path):
-            line = trace.tb_lineno
-        trace = trace.tb_next
-    return line
 
 
 _KINDS = ("nodes", "scenarios", "studies")

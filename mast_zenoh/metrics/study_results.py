@@ -10,7 +10,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
-from mast_zenoh.arrays.states import Floats
+from mast_zenoh.errors import plural
 from mast_zenoh.metrics.causes import CAUSES
 
 NAN = float("nan")
@@ -25,14 +25,17 @@ LEVEL = 0.05
 
 
 class StudySeries(NamedTuple):
-    """Identifies a number in results.parquet; `owner` is the column `who`."""
+    """A measure of a configuration: identifies a number in results.parquet.
+
+    owner: the column `who`; of rows "" for the agent whose estimates are scored, the ego
+    """
 
     owner: str
     estimator: str
     metric: str
 
 
-#: How intervals were computed, see `study.defences.intervals`; or that there is none, as most differences are 0.
+#: How intervals were computed, see `study.statistics`; or that there is none, as most differences are 0.
 STUDENT, BOOTSTRAP, POISSON, BINOMIAL = "Student's t", "bootstrap over trials", "exact Poisson", "exact binomial"
 MOSTLY_ZERO = "none: mostly 0"
 
@@ -111,41 +114,12 @@ class Statistic(NamedTuple):
         return self.p <= LEVEL or self.certain
 
 
-@dataclass(frozen=True, slots=True)
-class StudyRow:
-    """One configuration.
-
-    label: of the configuration; run: label of its run in the study file; point: grid parameters, name to value
-    ego:   name of the agent whose estimates are scored;  own: what users' metrics are, `own_metrics` of metrics.json
-    """
-
-    label: str
-    run: str
-    point: Mapping[str, object]
-    estimates: Mapping[StudySeries, Statistic]
-    ego: str = "ego"
-    own: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-
-    @property
-    def title(self) -> str:
-        """The label with parameter names: `attacked false_positives=2.0`."""
-        return (
-            " ".join([self.run, *(f"{name}={value}" for name, value in self.point.items())])
-            if self.point
-            else self.label
-        )
-
-    def get(self, metric: str, estimator: str = "picture", owner: str | None = None) -> Statistic:
-        """The estimate of a series, by default of the ego; all NaN if there is none."""
-        return self.estimates.get(StudySeries(owner or self.ego, estimator, metric), Statistic())
-
-
-def shares(row: StudyRow, outcome: str, estimator: str = "picture") -> dict[str, float]:
+def shares(row: Row, outcome: str, estimator: str = "picture") -> dict[str, float]:
     """Shares (0 to 1) of the causes of an estimate's errors; {} if there are none.
 
     outcome: "fp" (false objects) or "fn" (missed objects)
     """
-    counts = {cause: row.get(f"{outcome} {cause}", estimator).mean for cause in CAUSES}
+    counts = {cause: row.get(StudySeries("", estimator, f"{outcome} {cause}")).mean for cause in CAUSES}
     counts = {cause: mean for cause, mean in counts.items() if mean > 0.0}
     total = sum(counts.values())
     return {cause: mean / total for cause, mean in counts.items()}
@@ -191,6 +165,9 @@ class StudyFacts:
     other_scenes:   labels of configurations whose scene or agents differ from the baseline's
     idle:           configurations whose attack never began
     environment:    Python, the packages and a hash of the code that the results depend on
+    left_out:       why results of the study's kind are not there
+    ego:            name of the agent whose estimates are scored
+    own:            what users' metrics are, `own_metrics` of metrics.json
     """
 
     name: str
@@ -205,6 +182,14 @@ class StudyFacts:
     environment: Mapping[str, str]
     other_scenes: tuple[str, ...] = ()
     idle: tuple[IdleAttack, ...] = ()
+    left_out: tuple[str, ...] = ()
+    ego: str = "ego"
+    own: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """What follows the names of users' metrics: ` (objects)`."""
+        return {name: f" ({about['unit']})" for name, about in self.own.items() if about.get("unit")}
 
     def titled(self, titles: Mapping[str, str]) -> StudyFacts:
         """A copy with configurations renamed; titles: new names by label."""
@@ -252,90 +237,55 @@ def _renamed(each: _Named, titles: Mapping[str, str]) -> _Named:
     return replace(each, configuration=titles.get(each.configuration, each.configuration))
 
 
-def plural(count: float, noun: str) -> str:
-    """`1 seed`, `20 seeds`."""
-    return f"{count:.0f} {noun}{'' if count == 1 else 's'}"
-
-
 def size_of(seeds: int, scenes: int) -> str:
     """Numbers of seeds and scenes in words: `2 seeds × 1 scene`."""
     return f"{plural(seeds, 'seed')} \u00d7 {plural(scenes, 'scene')}"
 
 
-#: Periods in s: beginning and end.
-Spans = list[tuple[float, float]]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AgentTrustSeries:
-    """The trust in one agent over time, next to its conduct.
-
-    time_s: (n,) s;  value: (n,) mean or log-odds
-    states: by name of a state, when it was in it
-    lies:   when it lied;  faults: type, beginning and end of its faults
-    """
-
-    agent: str
-    time_s: Floats
-    value: Floats
-    states: Mapping[str, Spans]
-    lies: Spans
-    faults: Sequence[tuple[str, float, float]]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
-    """Numbers over the trials of one cell.
+    """Numbers over the trials of one cell, or of one configuration.
 
-    of: what it is of, by name;  trials: their number, or that of pairs
-    numbers: by measure
+    of: what it is of, by name; of a configuration its label (`configuration`), and parameters of the grid
+    trials: their number, or that of pairs
+    numbers: by measure, a name or a StudySeries
     """
 
     of: dict[str, Any]
     trials: int
-    numbers: Mapping[str, Statistic]
+    numbers: Mapping[Any, Statistic]
 
-    def __getitem__(self, measure: str) -> Statistic:
+    def __getitem__(self, measure: object) -> Statistic:
         return self.numbers[measure]
+
+    def get(self, measure: object) -> Statistic:
+        """The number of a measure; all NaN if there is none."""
+        return self.numbers.get(measure, Statistic())
 
     @property
     def idle(self) -> bool:
         """Whether adversaries lied in none of the runs, so that their attack did not take place (`attacked`)."""
         return "attacked" in self.numbers and self.numbers["attacked"].value == 0.0
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Survival:
-    """Kaplan-Meier estimate (1958, JASA 53:457) of the share that is not detected yet.
-
-    time_s:     (k,) s, ascending, beginning with 0; the last is the longest time observed
-    undetected: (k,) share, 0 to 1, from that time on
-    detections, watched: numbers of detections, and of all that were watched
-    """
-
-    time_s: Floats
-    undetected: Floats
-    detections: int
-    watched: int
+    @property
+    def configuration(self) -> str:
+        """The label of a configuration."""
+        return str(self.of["configuration"])
 
     @property
-    def median_s(self) -> float:
-        """s until half are detected; NaN if fewer were, as far as they were watched."""
-        below = self.undetected <= 0.5
-        return float(self.time_s[below.argmax()]) if below.any() else float("nan")
+    def point(self) -> dict[str, Any]:
+        """The parameters of the grid of a configuration, by name."""
+        return {name: value for name, value in self.of.items() if name != "configuration"}
 
+    @property
+    def run(self) -> str:
+        """The label of a configuration's run in the study file: its own without the values of parameters."""
+        return self.configuration.removesuffix("".join(f"-{value}" for value in self.point.values()))
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TrustPanel:
-    """The trust of one trial over time.
-
-    agents: those to show;  left_out: number of others;  end_s: s, of the run
-    """
-
-    title: str
-    agents: Sequence[AgentTrustSeries]
-    left_out: int
-    end_s: float
+    @property
+    def title(self) -> str:
+        """The label of a configuration with parameter names: `attacked false_positives=2.0`."""
+        return " ".join([self.run, *(f"{name}={value}" for name, value in self.point.items())])
 
 
 Effect = TypeVar("Effect", bound=Hashable)

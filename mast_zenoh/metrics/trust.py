@@ -399,3 +399,37 @@ def partial_auc(scores: ArrayLike, labels: ArrayLike, hours: float, max_rate_per
 
 def _share(counts: Sequence[int] | np.ndarray, total: int) -> Floats:
     return np.asarray(counts, np.float64) / total if total else np.full(len(counts), np.nan)
+
+
+#: Periods in s: beginning and end.
+Spans = list[tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AgentTrustSeries:
+    """The trust in one agent over time, next to its conduct.
+
+    time_s: (n,) s;  value: (n,) mean or log-odds
+    states: by name of a state, when it was in it
+    lies:   when it lied;  faults: type, beginning and end of its faults
+    """
+
+    agent: str
+    time_s: Floats
+    value: Floats
+    states: Mapping[str, Spans]
+    lies: Spans
+    faults: Sequence[tuple[str, float, float]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrustPanel:
+    """The trust of one trial over time.
+
+    agents: those to show;  left_out: number of others;  end_s: s, of the run
+    """
+
+    title: str
+    agents: Sequence[AgentTrustSeries]
+    left_out: int
+    end_s: float

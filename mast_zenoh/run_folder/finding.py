@@ -9,6 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from mast_zenoh.errors import plural
+
 #: Names in a sentence; more are counted.
 _MOST_NAMES = 8
 
@@ -129,8 +131,6 @@ def whole_percent(share: float) -> str:
 def macros(template: Path, filters: tuple[tuple[str, Callable[..., str]], ...] = ()) -> dict[str, Callable[..., str]]:
     """The macros of a template by name. filters: besides those of phrases.j2"""
     from jinja2 import Environment, StrictUndefined
-
-    from mast_zenoh.metrics.study_results import plural  # loads what measures: nodes that say nothing do without
 
     environment = Environment(undefined=StrictUndefined, autoescape=False)  # the text is not of a page: pages escape it
     for each in (plural, names, listed, size, factor, whole_percent, sentence):

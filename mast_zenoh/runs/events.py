@@ -9,7 +9,7 @@ import numpy as np
 
 from mast_zenoh.arrays.boxes import Boxes
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
+from mast_zenoh.metrics.trust import AgentTrustSeries, Spans
 from mast_zenoh.run_folder.finding import Finding, sentence
 from mast_zenoh.run_folder.recording.churn import LOST
 from mast_zenoh.runs.files import Table, boxes_of, column, rows

@@ -10,14 +10,13 @@ import hashlib
 import os
 import sys
 import tempfile
-import traceback
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 
 from mast_zenoh import sensing, streams
 from mast_zenoh.arrays import geometry, states
-from mast_zenoh.errors import MastError, SceneError, is_out_of_resources
+from mast_zenoh.errors import MastError, SceneError, is_out_of_resources, place_of
 from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.observe import with_sweeps
 from mast_zenoh.scenes.recording import Recording
@@ -61,13 +60,10 @@ def _recorded(scene: Scene, seed: int, frames: int | None) -> Recording:
         return recording
     except Exception as error:
         users = {type(part).__module__ for part in _parts(scene) if _is_of_user(type(part))}
-        trace = traceback.walk_tb(error.__traceback__)
-        places = [
-            f"{frame.f_code.co_filename}:{line}" for frame, line in trace if frame.f_globals.get("__name__") in users
-        ]
-        if isinstance(error, MastError) or is_out_of_resources(error) or not places:
+        place = place_of(error, users)
+        if isinstance(error, MastError) or is_out_of_resources(error) or not place:
             raise
-        raise SceneError(f"{places[-1]}: {type(error).__name__}: {error}") from error
+        raise SceneError(f"{place}: {type(error).__name__}: {error}") from error
 
 
 def _is_of_user(cls: type) -> bool:

@@ -15,7 +15,8 @@ from urllib.parse import quote
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from mast_zenoh.metrics.study_results import StudyFacts, StudyRow, plural
+from mast_zenoh.errors import plural
+from mast_zenoh.metrics.study_results import Row, StudyFacts
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.run_folder.finding import Finding, notice_lines
 from mast_zenoh.runs.frame import has_boxes
@@ -372,7 +373,7 @@ _SHOWN_AT_ONCE = 10
 
 def write_trials_page(
     folder: Path,
-    rows: Sequence[StudyRow],
+    rows: Sequence[Row],
     facts: StudyFacts,
     figures: Mapping[str, RenderedFigure],
     tables: Sequence[TextTable] = (),
@@ -387,7 +388,7 @@ def write_trials_page(
     """
     rows, facts = of_study.titled(rows, facts)
     comparisons = of_study.compare(rows, facts.baseline)
-    parts = sections(rows, facts.baseline, comparisons)
+    parts = sections(rows, facts, comparisons)
     errors = of_study.result(rows, facts, comparisons)
     # Errors of single kinds may be unclear where the study's own measure is clear.
     named = not own_headline or (errors.startswith(of_study.NO_CHANGE) and not own_reading)

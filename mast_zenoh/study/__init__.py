@@ -11,7 +11,7 @@ The package can be called: `mast_zenoh.study("case_study")` carries out a study.
     execution   runs trials, in this process or on a Dask cluster
     store       the study folder: a file for each trial, tables written in pieces
     numbers     the numbers of a trial, with increments over the baseline
-    statistics  intervals, and one estimate per configuration and series
+    statistics  all 95 % intervals, one estimate per configuration and series, times until detection
     tables      all files of a finished study
     attacked_run  what an attacker without a role achieves at each security level
     defences/   studies of defences against adversaries

@@ -137,14 +137,24 @@ class Study:
 
     @property
     def evaluation(self) -> str:
-        """The name of the kind by which each trial is evaluated; "": none."""
-        return name_of_kind(self.kind) if self.kind else ""
+        """The name of the kind by which each trial is evaluated; "": none, all is made of the stored outcomes."""
+        return name_of_kind(self.kind) if self.kind and self.kind.evaluate is not Kind.evaluate else ""
 
     @property
     def kind_files(self) -> tuple[str, ...]:
-        """The user's file that defines the kind, if any."""
+        """The user's file of the kind, if it evaluates trials: whatever is in it may be called from `evaluate`."""
         file = self.evaluation.rpartition(":")[0]
         return (file,) if file.endswith(".py") else ()
+
+    @property
+    def has_own_kind(self) -> bool:
+        """Whether its kind is a user's, and not one of this package."""
+        return self.kind is not None and not self.kind.__module__.startswith("mast_zenoh.")
+
+    def new_kind(self, seeds: Sequence[int]) -> Kind:
+        """What takes the measures of its trials with these seeds."""
+        assert self.kind is not None
+        return self.kind(self.factors, [scene.label for scene in self.scenes], seeds)
 
     @property
     def factors(self) -> dict[str, Factors]:
@@ -276,6 +286,8 @@ def _kind(kind: Any, configurations: Sequence[Configuration]) -> type[Kind] | No
         return None
     valid = isinstance(kind, type) and issubclass(kind, Kind)
     _check(valid, f"kind: found {kind!r:.120}, expected a subclass of {Kind.__name__}")
+    missing = [*sorted(kind.__abstractmethods__), *(["name"] * (not isinstance(getattr(kind, "name", None), str)))]
+    _check(not missing, f"kind: {kind.__name__} has no {', '.join(missing)}")
     labels = {each.factors: each.label for each in configurations}
     for each in configurations:
         other = labels[each.factors]

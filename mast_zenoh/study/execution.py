@@ -7,10 +7,11 @@ import logging
 import os
 import shlex
 import shutil
+import signal
 import tempfile
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -84,10 +85,9 @@ def _kind(trial: Trial) -> type[Kind] | None:
     """The kind of study that evaluates a trial in its run folder; None: nothing but the metrics is needed."""
     if not trial.evaluation:
         return None
-    from mast_zenoh.study.defences.kinds import Kind, kind_of  # other studies do without
+    from mast_zenoh.study.defences.kinds import kind_of  # other studies do without
 
-    kind = kind_of(trial.evaluation)
-    return None if kind.evaluate is Kind.evaluate else kind
+    return kind_of(trial.evaluation)
 
 
 def _is_disturbed(resolved: Resolved) -> bool:
@@ -229,6 +229,8 @@ def _client(jobs: int, cluster: str | None) -> Iterator[Any]:
         "distributed.worker.profile.enabled": False,
         "distributed.admin.tick.interval": "1s",
         "distributed.admin.system-monitor.interval": "10s",
+        # Ctrl-C reaches all processes of a terminal: this one ends the workers.
+        "distributed.worker.preload": ["import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"],
     }
     settings |= {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in _MALLOC_SETTINGS.items()}
     with dask.config.set(settings):
@@ -249,4 +251,17 @@ def _client(jobs: int, cluster: str | None) -> Iterator[Any]:
             memory_limit=0,
         )
         with local_cluster, Client(local_cluster) as client:
-            yield client
+            try:
+                yield client
+            except BaseException:
+                _kill(local_cluster)
+                raise
+
+
+def _kill(local_cluster: Any) -> None:
+    """End the workers of a study that is stopped: their trials are lost in any case, and would end seconds later."""
+    for nanny in list(local_cluster.workers.values()):
+        nanny.close_gracefully()  # it would start another worker
+        if nanny.pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGKILL)

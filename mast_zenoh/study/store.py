@@ -120,11 +120,22 @@ class Store:
             "use another folder, or the settings with which it was begun"
         )
 
-    def write_status(self, study: Study, trials: Sequence[Trial], failures: Mapping[str, str], status: str) -> None:
-        """Write study.json: the study's configurations and trials, and its status; with failures, `ok` is `failed`."""
+    def write_status(
+        self,
+        study: Study,
+        trials: Sequence[Trial],
+        failures: Mapping[str, str],
+        status: str,
+        left_out: Sequence[str] = (),
+    ) -> None:
+        """Write study.json: the study's configurations and trials, and its status.
+
+        left_out: why results are not there. With these, or with failures, `ok` is `failed`.
+        """
         content = {
             "name": study.name,
-            "status": "failed" if failures and status == ending.OK else status,
+            "status": "failed" if (failures or left_out) and status == ending.OK else status,
+            **({"left_out": list(left_out)} if left_out else {}),
             "baseline": study.baseline,
             "configurations": {
                 each.label: {"scenario": each.scenario, "settings": list(each.settings)}

@@ -13,8 +13,8 @@ import numpy as np
 import pyarrow
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.errors import TrialsFailed
-from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Statistic, StudyFacts, StudyRow, StudySeries
+from mast_zenoh.errors import ConfigurationError, TrialsFailed
+from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Row, Statistic, StudyFacts, StudySeries
 from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.study import numbers, statistics
 from mast_zenoh.study.defences import kinds
@@ -35,7 +35,7 @@ class StudyResult:
     """
 
     out: Path
-    rows: list[StudyRow]
+    rows: list[Row]
     facts: StudyFacts
     files: list[Path]
     report: Path
@@ -45,14 +45,21 @@ class StudyResult:
         """The main tables for the terminal."""
         from mast_zenoh.show.tables import study as study_table
 
-        if self.own is not None:
+        if self.own is not None and self.own.tables is not None:
             return self.own.tables.as_rich()
         return study_table.as_rich(self.rows, self.facts)
 
     def raise_failures(self) -> None:
-        """Raises TrialsFailed if any trial failed, with the command that runs each alone."""
+        """Raises TrialsFailed if any trial failed, with the command that runs each alone.
+
+        Raises ConfigurationError if results of the study's kind are left out.
+        """
         if self.facts.failed:
             raise trials_failed(self.facts.failed)
+        if self.facts.left_out:
+            reasons = "\n".join(f"  {each}" for each in self.facts.left_out)
+            todo = f"repair it, and repeat the command with --out {self.out} --resume"
+            raise ConfigurationError(f"left out of the results, of which all trials are kept: {todo}:\n{reasons}")
 
 
 def trials_failed(failed: Sequence[FailedTrial]) -> TrialsFailed:
@@ -80,8 +87,10 @@ def write(
 
     seeds = tuple(sorted({trial.seed for trial in trials}))
     scenes = tuple(scene.label for scene in study.scenes)
-    kind = study.kind(study.factors, scenes, seeds) if study.kind else None
-    done, rows = _write_parquet(study, store, trials, seeds, kind)
+    kind = study.new_kind(seeds) if study.kind else None
+    done, samples = _write_parquet(study, store, trials, seeds, kind)
+    rows = samples.rows()
+    own = kind.write(store.folder) if kind else searched
     facts = StudyFacts(
         name=study.name,
         baseline=study.baseline,
@@ -95,6 +104,9 @@ def write(
         environment=dict(pair for trial in trials for pair in trial.environment),
         other_scenes=_configurations_with_other_scenes(trials, study.baseline),
         idle=_idle_attacks(trials),
+        left_out=tuple(own.left_out) if own else (),
+        ego=samples.ego,
+        own=samples.own,
     )
     texts = {
         "table.csv": study_table.as_csv(rows, facts),
@@ -103,21 +115,21 @@ def write(
     }
     figures = {} if kind else figures_over_trials(rows, facts)
     names = ["results.parquet", "frames.parquet", *kinds.write_files(store.folder, texts, figures)]
-    own = kind.write(store.folder) if kind else searched
     if own is not None:
         figures = {**own.figures, **figures}
         names += own.names
-    parts = (own.tables.tables, own.tables.headline, own.tables.reading) if own is not None and own.on_page else ()
+    shown = own.tables if own is not None and own.on_page else None
+    parts = (shown.tables, shown.headline, shown.reading) if shown else ()
     report = write_trials_page(store.folder, rows, facts, figures, *parts)
     return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, own)
 
 
 def _write_parquet(
     study: Study, store: Store, trials: Sequence[Trial], seeds: Sequence[int], kind: kinds.Kind | None
-) -> tuple[Counter[str], list[StudyRow]]:
+) -> tuple[Counter[str], Samples]:
     """Write results.parquet and frames.parquet; add the trials to `kind`.
 
-    Returns the numbers of finished trials by configuration, and the table rows.
+    Returns the numbers of finished trials by configuration, and their numbers.
     Only the trials of one scene and seed are in memory at a time.
     """
     no_number = to_arrow(numbers.columns(trials[0], []))
@@ -143,13 +155,15 @@ def _write_parquet(
                 trial_file.append(per_trial.add(to_arrow(numbers.columns(outcome.trial, trial_numbers)), label))
                 frame_file.append(per_frame.add(to_arrow(numbers.frames(outcome)), label))
                 done[label] += 1
-    return done, samples.rows()
+    return done, samples
 
 
 class Samples:
     """The reported numbers, by configuration.
 
     Of the ego, driven cars, compromised agents, achievements, the defence, pictures and the channel.
+
+    ego: name of the agent whose estimates are scored;  own: users' metrics, `own_metrics` of metrics.json
     """
 
     def __init__(self, study: Study, seeds: Sequence[int]) -> None:
@@ -159,14 +173,18 @@ class Samples:
         self._seed = {seed: index for index, seed in enumerate(seeds)}
         self._cells: dict[str, dict[StudySeries, Floats]] = {each.label: {} for each in study.configurations}
         self._rates: set[StudySeries] = set()
-        self._own: dict[str, Any] = {}  # users' metrics, `own_metrics` of metrics.json
-        self._ego = ""
+        self.own: dict[str, Any] = {}
+        self.ego = "ego"
+        self._trials: Counter[str] = Counter()
 
     def add(self, outcome: TrialOutcome, trial_numbers: Iterable[Number]) -> None:
         """Add the numbers of a trial, `numbers.values`."""
-        self._ego = agent = self._ego or ego(outcome.metrics)
-        self._own |= outcome.metrics.get("own_metrics", {})
         trial = outcome.trial
+        if not self._trials:
+            self.ego = ego(outcome.metrics)
+        agent = self.ego
+        self._trials[trial.configuration] += 1
+        self.own |= outcome.metrics.get("own_metrics", {})
         cell = self._scene[trial.scene], self._seed[trial.seed]
         cells = self._cells[trial.configuration]
         for number in trial_numbers:
@@ -174,26 +192,23 @@ class Samples:
                 continue
             of_all = number.metric in COOPERATION.get(number.estimator, ())
             if number.owner in (agent, COMPROMISED) or number.estimator in (ACHIEVED, DEFENCE, DRIVEN) or of_all:
-                series = StudySeries(*number[:3])
+                series = StudySeries("" if number.owner == agent else number.owner, number.estimator, number.metric)
                 if series not in cells:
                     cells[series] = np.full((3, len(self._scene), len(self._seed)), NAN)
                 cells[series][:, *cell] = number.value, number.std, number.frames
                 if number.binary:
                     self._rates.add(series)
 
-    def rows(self) -> list[StudyRow]:
+    def rows(self) -> list[Row]:
         """A row per configuration."""
         return [
-            StudyRow(
-                label=configuration.label,
-                run=configuration.run,
-                point=dict(configuration.point),
-                estimates={
-                    series: _estimate(series, *cell, rate=series in self._rates, own=self._own)
+            Row(
+                {"configuration": configuration.label, **dict(configuration.point)},
+                self._trials[configuration.label],
+                {
+                    series: _estimate(series, *cell, rate=series in self._rates, own=self.own)
                     for series, cell in self._cells[configuration.label].items()
                 },
-                ego=self._ego or "ego",
-                own=self._own,
             )
             for configuration in self._study.configurations
         ]

@@ -147,13 +147,19 @@ def files_key(paths: tuple[Path, ...]) -> str:
     return _hash(lines)
 
 
-def user_files(path: Path, loaded: Mapping[str, Any], modules: Iterable[str] = ()) -> tuple[Path, ...]:
+def user_files(path: Path, study: Path, modules: Iterable[str] = ()) -> tuple[Path, ...]:
     """Python files in a user's scenario folder, which the scenario may import, and in those of its classes.
 
+    path: of the scenario;  study: the study's file, which counts only if it is used, or if another file has its name
     modules: files of classes that the scenario uses
     """
-    folders = {path.parent, *(Path(file).parent for file in modules)} - {bundle.ROOT / "scenarios"}
-    return tuple(file for folder in sorted(folders) for file in sorted(folder.glob("*.py")))
+    used = {path, *map(Path, modules)}
+    folders = {file.parent for file in used} - {bundle.ROOT / "scenarios"}
+    files = [file for folder in sorted(folders) for file in sorted(folder.glob("*.py"))]
+    others = [file for file in files if file != study]
+    imports = re.compile(rf"\b{re.escape(study.stem)}\b")
+    is_used = study in used or any(imports.search(file.read_text(errors="replace")) for file in others)
+    return tuple(files if is_used else others)
 
 
 def digest_of(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -56,18 +56,21 @@ def run(
     console = console or Console(quiet=True)
     check_environment(console, jobs, cluster, record=record)
     trials = plan(study, count=count, allow_failures=allow_failures)
+    if study.has_own_kind:
+        study.new_kind(range(study.seed, study.seed + count)).rehearse()
     store = Store.create(out, study, resume=resume)
     store.refuse_other(study, trials)
     if record:
         trials = [replace(trial, folder=str(store.run_folder(trial))) for trial in trials]
     failures: dict[str, str] = {}
+    left_out: list[str] = []
     pending = [trial for trial in trials if not resume or store.load(trial) is None or not store.is_kept(trial)]
     report_misplaced(store, console)
     if len(pending) < len(trials):
         console.print(f"{len(trials) - len(pending)} of {len(trials)} trials are already done", highlight=False)
 
     def write_status(status: str) -> None:
-        store.write_status(study, trials, failures, status)
+        store.write_status(study, trials, failures, status, left_out)
 
     with status_written(store.status_file, write_status, how_to_continue(store)):
         if pending:
@@ -76,8 +79,11 @@ def run(
                 execution.workers(min(jobs, len(pending)), cluster) as run_trials,
                 closing(run_trials(pending)) as outcomes,
             ):
-                keep(outcomes, store, failures, progress, progress.add_task("trials", total=len(pending)))
-        return tables.write(study, store, trials, failures)
+                bar = progress.add_task("trials", total=len(pending))
+                keep(rehearsed(outcomes, study, count, console), store, failures, progress, bar)
+        finished = tables.write(study, store, trials, failures)
+        left_out += finished.facts.left_out
+        return finished
 
 
 def check_environment(console: Console, jobs: int, cluster: str | None, *, record: bool) -> None:
@@ -106,6 +112,21 @@ def progress_bars(console: Console) -> Progress:
     """Progress bars of trials."""
     columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
     return Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console)
+
+
+def rehearsed(outcomes: Iterable[TrialOutcome], study: Study, count: int, console: Console) -> Iterator[TrialOutcome]:
+    """Pass outcomes on; try the results of a user's kind with the first one, and say what would be left out.
+
+    Raises what `Kind.rehearse` raises.
+    """
+    untried = study.has_own_kind
+    for outcome in outcomes:
+        yield outcome
+        if untried and not outcome.error:
+            untried = False
+            for problem in study.new_kind(range(study.seed, study.seed + count)).rehearse(outcome):
+                line = f"warning: of the first trial alone, {problem}: if this remains so, it is left out"
+                console.print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
 
 def keep(
@@ -147,10 +168,10 @@ def plan(study: Study, *, count: int, allow_failures: bool = False) -> list[Tria
             path, loaded = scenario.load(configuration.scenario, settings)
             resolved = scenario.resolve(path, loaded, seed=seed, frames=frames)
             scene = registry.build(resolved.scene, scenes.Scene, f"{path}: scene")
-            if study.kind and not study.kind_files:
+            if study.kind and not study.has_own_kind:
                 refuse_calibration_data(range(seed, seed + count), resolved.scene, str(study.path))
             environment = identity.environment(resolved.plugins.values())
-            user_files = identity.user_files(path, loaded, (*resolved.modules, *study.kind_files))
+            user_files = identity.user_files(path, study.path, (*resolved.modules, *study.kind_files))
             files = identity.files_key((*user_files, *scene.inputs()))
             idle = _idle_period(resolved)
             if study.kind and idle is not None:

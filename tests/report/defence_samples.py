@@ -5,18 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from mast_zenoh.metrics.study_results import (
-    BINOMIAL,
-    BOOTSTRAP,
-    POISSON,
-    AgentTrustSeries,
-    Row,
-    Statistic,
-    Survival,
-    TrustPanel,
-)
-from mast_zenoh.metrics.trust import roc
+from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, POISSON, Row, Statistic
+from mast_zenoh.metrics.trust import AgentTrustSeries, TrustPanel, roc
 from mast_zenoh.study.defences.matrix_table import DEFENCE_MEASURES, MatrixTable
+from mast_zenoh.study.statistics import Survival
 
 DELAY = Survival(np.array([0.0, 0.3, 11.0]), np.array([1.0, 0.4, 0.4]), 3, 5)
 RUNS = Statistic(0.0, 0.0, 0.07, 48, 0, BINOMIAL)

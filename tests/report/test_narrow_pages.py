@@ -43,12 +43,12 @@ def test_a_study_fits_500_px_and_paper(three_runs: dict[str, Path], tmp_path: Pa
 def test_a_study_with_many_files_and_achievements_fits_500_px_and_paper(tmp_path: Path) -> None:
     achieved = {StudySeries("all", "achieved", f"share_of_number_{number}"): estimate(0.5) for number in range(24)}
     scores = {
-        StudySeries("ego", estimator, metric): estimate(12.34)
+        StudySeries("", estimator, metric): estimate(12.34)
         for estimator in ("local", "picture", "mission")
         for metric in ("fn", "fp", "tp", "rmse_m", "id_switches")
     }
     attacked = row("attacked", {"adversaries": 2, "defence": "SequentialConsistency", "kind": "poles"}, 1.0)
-    rows = [BASELINE, replace(attacked, estimates={**attacked.estimates, **achieved, **scores})]
+    rows = [BASELINE, replace(attacked, numbers={**attacked.numbers, **achieved, **scores})]
     for name in ("results.parquet", "frames.parquet", "table.csv", "table.md", "table.tex", "increments.pdf"):
         (tmp_path / name).touch()
     page_file = write_trials_page(tmp_path, rows, facts(rows), {})

@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 from study_samples import BASELINE, estimate, facts, grid, row
 
-from mast_zenoh.metrics.study_results import StudyRow, StudySeries
+from mast_zenoh.metrics.study_results import Row, StudySeries
 from mast_zenoh.show.figures import study
 from mast_zenoh.show.figures.study import Panel, figures_over_trials, panels
 
 
 def labels(panel: Panel) -> dict[str, list[str]]:
-    return {label: [row.label for row in curve] for label, curve in panel.curves.items()}
+    return {label: [row.configuration for row in curve] for label, curve in panel.curves.items()}
 
 
 def test_runs_that_sweep_one_parameter_share_a_panel_with_a_curve_each() -> None:
@@ -65,8 +65,10 @@ def test_additional_parameters_make_a_panel_for_each_choice() -> None:
 def test_every_configuration_is_shown_exactly_once(grids, count: int) -> None:
     rows = [BASELINE, row("alone", {}, 1.0)]
     rows += [each for index, values in enumerate(grids) for each in grid(f"run{index}", **values)]
-    labels = [row.label for panel in panels(rows, "baseline") for curve in panel.curves.values() for row in curve]
-    assert sorted(labels) == sorted(row.label for row in rows[1:])
+    labels = [
+        row.configuration for panel in panels(rows, "baseline") for curve in panel.curves.values() for row in curve
+    ]
+    assert sorted(labels) == sorted(row.configuration for row in rows[1:])
     assert len(labels) == count + 1
 
 
@@ -102,8 +104,8 @@ def test_figures_are_reproducible_and_state_their_sample(monkeypatch: pytest.Mon
 def test_figures_explain_missing_bars(
     monkeypatch: pytest.MonkeyPatch, seeds: int, half: float, footer: str, caption: str
 ) -> None:
-    added = {StudySeries("ego", "picture", "fp_iob"): estimate(2.0, half, seeds=seeds)}
-    rows = [BASELINE, StudyRow("a", "a", {}, added)]
+    added = {StudySeries("", "picture", "fp_iob"): estimate(2.0, half, seeds=seeds)}
+    rows = [BASELINE, Row({"configuration": "a"}, 0, added)]
     footers = []
     pictures = study._draw
     monkeypatch.setattr(study, "_draw", lambda *words: footers.append(words[-1]) or pictures(*words))
@@ -118,7 +120,7 @@ def test_success_begins_at_zero_adversaries_and_every_figure_is_also_a_pdf(tmp_p
     success = StudySeries("all", "mission", "success_fp")
     rows = [BASELINE, *grid("a", n_adversaries=(1, 2, 3))]
     rated = estimate(0.5)._replace(rate=True)
-    rows[1:] = [replace(each, estimates={**each.estimates, success: rated}) for each in rows[1:]]
+    rows[1:] = [replace(each, numbers={**each.numbers, success: rated}) for each in rows[1:]]
     figures_over_trials(rows, facts(rows))
     axes = drawn["success"].subfigs[0].axes[0]
     assert [text.get_text() for text in axes.get_xticklabels()] == ["0", "1", "2", "3"]

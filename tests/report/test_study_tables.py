@@ -12,7 +12,7 @@ from kept_texts import assert_kept, printed
 from scipy.stats import binomtest
 from study_samples import BASELINE, estimate, facts, grid, row
 
-from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Statistic, StudyRow, StudySeries, holm, shares
+from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Row, Statistic, StudySeries, holm, shares
 from mast_zenoh.show.findings.of_study import compare, other_changes, reservations, result
 from mast_zenoh.show.tables import study
 from mast_zenoh.show.tables.study_rows import over_trials
@@ -23,10 +23,11 @@ ROWS = [BASELINE, *grid("uncoordinated", n=(1, 2, 3)), *grid("coordinated", 0.5,
 FAILED = FailedTrial("coordinated-3", "intersection:1", 7, "RunError: on | purpose", "mast run coordinated --seed 7")
 
 
-def with_more(row: StudyRow, **numbers: Statistic) -> StudyRow:
+def with_more(row: Row, **numbers: Statistic) -> Row:
     """A row with more numbers, by owner, estimator and metric with underscores between."""
-    named = {StudySeries(*name.split("__")): number for name, number in numbers.items()}
-    return replace(row, estimates={**row.estimates, **named})
+    split = ((name.removeprefix("ego").split("__"), number) for name, number in numbers.items())
+    named = {StudySeries(*parts): number for parts, number in split}
+    return replace(row, numbers={**row.numbers, **named})
 
 
 RARE = trial_estimate(np.array([[0.0] * 16 + [0.1, 0.02, 0.01, 0.27]]), (-np.inf, np.inf), paired=True)
@@ -36,14 +37,14 @@ PEERS = [
     with_more(ROWS[1], all__pictures__deceived=estimate(0.25, 0.1)),
     with_more(ROWS[2], all__pictures__deceived=estimate(0.3, 0.1), all__channel__busy_ratio=estimate(0.6, 0.1)),
 ]
-STUDIES: dict[str, tuple[list[StudyRow], list[FailedTrial]]] = {
+STUDIES: dict[str, tuple[list[Row], list[FailedTrial]]] = {
     "failed": (ROWS, [FAILED]),
     "mostly_zero": ([BASELINE, *ZEROS], []),
     "changed_ego": (
         [BASELINE, with_more(ROWS[1], ego__local__fp_iob=estimate(0.5), ego__mission__near_misses=ODD)],
         [],
     ),
-    "two_means": ([BASELINE, StudyRow("x", "x", {}, {StudySeries("ego", "picture", "fp_iob"): ODD})], []),
+    "two_means": ([BASELINE, Row({"configuration": "x"}, 0, {StudySeries("", "picture", "fp_iob"): ODD})], []),
     "peers": ([BASELINE, *PEERS], []),
     "long_names": ([BASELINE, *grid("a_run_with_quite_a_long_name", n=(1, 2), false_positives=(5.0, 20.0))], []),
 }
@@ -71,8 +72,8 @@ def test_tables_in_text_csv_latex_and_on_a_terminal(name: str) -> None:
         assert len({line.count("&") for line in lines}) <= 1
     assert all(line.isascii() for line in latex.splitlines() if not line.startswith("%"))
     lines = list(csv.DictReader(io.StringIO(numbers)))
-    assert {line["configuration"] for line in lines} == {row.label for row in rows}
-    assert len(lines) == sum(len(row.estimates) for row in rows)
+    assert {line["configuration"] for line in lines} == {row.configuration for row in rows}
+    assert len(lines) == sum(len(row.numbers) for row in rows)
 
 
 def test_differences_that_are_mostly_zero_have_the_exact_interval_of_their_share() -> None:
@@ -94,8 +95,8 @@ def test_differences_that_are_mostly_zero_have_the_exact_interval_of_their_share
 
 
 def test_columns_of_a_users_metric_name_its_unit() -> None:
-    described = replace(ROWS[1], own={"my_metric": {"unit": "objects"}})
-    assert "my_metric (objects)" in study.as_markdown([BASELINE, described], facts([BASELINE, described]))
+    described = replace(facts(ROWS), own={"my_metric": {"unit": "objects"}})
+    assert "my_metric (objects)" in study.as_markdown(ROWS, described)
 
 
 @pytest.mark.parametrize(
@@ -126,9 +127,7 @@ def test_holm_adjusts_step_by_step() -> None:
 
 
 def test_comparisons_outside_the_tables_are_counted_separately() -> None:
-    extra = replace(
-        ROWS[1], estimates={**ROWS[1].estimates, StudySeries("ego", "mission", "my_metric_iob"): estimate(1.0)}
-    )
+    extra = replace(ROWS[1], numbers={**ROWS[1].numbers, StudySeries("", "mission", "my_metric_iob"): estimate(1.0)})
     comparisons = compare([BASELINE, extra], "baseline")
     assert comparisons.count == 5, (
         "fp and fn of picture and mission, fp of the compromised; those all equal have no test"
@@ -138,7 +137,7 @@ def test_comparisons_outside_the_tables_are_counted_separately() -> None:
     assert comparisons.remaining() == 3
 
 
-def words(rows: list[StudyRow], idle: IdleAttack | None = None) -> list[str]:
+def words(rows: list[Row], idle: IdleAttack | None = None) -> list[str]:
     """The result, other changes and reservations of a study."""
     known = replace(facts(rows), idle=() if idle is None else (idle,))
     comparisons = compare(rows, "baseline")
@@ -146,11 +145,11 @@ def words(rows: list[StudyRow], idle: IdleAttack | None = None) -> list[str]:
     return [result(rows, known, comparisons), *others, *(f"  ! {each}" for each in reservations(rows, known))]
 
 
-def picture(**increments: Statistic) -> list[StudyRow]:
+def picture(**increments: Statistic) -> list[Row]:
     """A study in which `a` changes the picture."""
     return [
         BASELINE,
-        StudyRow("a", "a", {}, {StudySeries("ego", "picture", n): each for n, each in increments.items()}),
+        Row({"configuration": "a"}, 0, {StudySeries("", "picture", n): each for n, each in increments.items()}),
     ]
 
 
@@ -160,7 +159,7 @@ EQUAL = Statistic(mean=0.0, std=0.0, value=0.0, zero_share=1.0, scenes=1, seeds=
 WHOLE = estimate(1.0)._replace(seeds=18, left_out=2)
 RMSE, SWITCHES = estimate(0.2, 0.1, p=1e-4), estimate(0.1, 0.05, p=1e-5)
 LATE = IdleAttack("uncoordinated-1", 4.0, 3.8)
-OF_STUDIES: dict[str, tuple[list[StudyRow], IdleAttack | None]] = {
+OF_STUDIES: dict[str, tuple[list[Row], IdleAttack | None]] = {
     "more false objects": (ROWS, None),
     "fewer false objects": ([BASELINE, row("a", {}, -2.0)], None),
     "no clear change": (picture(fp_iob=estimate(0.1, 0.5, p=0.6)), None),
@@ -197,11 +196,10 @@ def test_the_headline_never_denies_a_change_that_remains_after_holm() -> None:
         p_values = 10.0 ** rng.uniform(-5.0, 0.0, (4, 3))
         names = ("fp_iob", "fn_iob", "rmse_m_iob")
         rows = [
-            StudyRow(
-                f"a{k}",
-                "a",
-                {},
-                {StudySeries("ego", "picture", n): estimate(2.0, p=p) for n, p in zip(names, of, strict=True)},
+            Row(
+                {"configuration": f"a{k}"},
+                0,
+                {StudySeries("", "picture", n): estimate(2.0, p=p) for n, p in zip(names, of, strict=True)},
             )
             for k, of in enumerate(p_values)
         ]

@@ -10,7 +10,7 @@ import pytest
 from pyarrow import parquet
 from synthetic_outcomes import FRAMES, outcome, study
 
-from mast_zenoh.metrics.study_results import StudyRow
+from mast_zenoh.metrics.study_results import Row, Statistic, StudyFacts, StudySeries
 from mast_zenoh.run_folder.tables import to_arrow
 from mast_zenoh.show.findings.of_study import compare
 from mast_zenoh.show.tables.study import sections
@@ -127,12 +127,17 @@ def test_tables_of_trials_are_joined_with_nulls_for_missing_columns(tmp_path, mo
     assert [path.name for path in tmp_path.iterdir()] == ["t.parquet"]
 
 
+def number(row: Row, metric: str, estimator: str = "picture", owner: str = "") -> Statistic:
+    """A number of a row, by default of the ego."""
+    return row.get(StudySeries(owner, estimator, metric))
+
+
 def summary(outcomes, seeds: int, scenes: int = 2):
     samples = Samples(study({"attacked": {}}, scenes), range(seeds))
     of = {(each.trial.configuration, each.trial.scene, each.trial.seed): each for each in outcomes}
     for (_, scene, seed), each in of.items():
         samples.add(each, values(each, of.get(("baseline", scene, seed))))
-    return {row.label: row for row in samples.rows()}
+    return {row.configuration: row for row in samples.rows()}
 
 
 def test_intervals_are_clipped_to_possible_values_except_differences() -> None:
@@ -149,17 +154,17 @@ def test_intervals_are_clipped_to_possible_values_except_differences() -> None:
     row = summary(done, seeds=6, scenes=1)["attacked"]
     for metric, estimator, adversary in (
         *((name, "achieved", "all") for name in ("moved_share_centre", "inserted_s_ego", "hidden")),
-        *((name, "mission", "ego") for name in ("completeness", "fp_split.attack", "fp inserted")),
-        *((f"driving.{name}", "mission", "ego") for name in ("brake_share", "corridor_false")),
-        ("fp", "picture", "ego"),
+        *((name, "mission", "") for name in ("completeness", "fp_split.attack", "fp inserted")),
+        *((f"driving.{name}", "mission", "") for name in ("brake_share", "corridor_false")),
+        ("fp", "picture", ""),
     ):
-        each = row.get(metric, estimator, adversary)
+        each = number(row, metric, estimator, adversary)
         share = each.value > 0.5
         assert (each.high if share else each.low) == (1.0 if share else 0.0), metric
         assert each.low < each.value < each.high
-    assert row.get("my_metric", "mission").low < 0.0, "a user's metric may have any range"
-    assert row.get("fp_iob").low < -1.0 < row.get("fp_iob").high
-    assert row.get("fp_ioe").low < 0.0
+    assert number(row, "my_metric", "mission").low < 0.0, "a user's metric may have any range"
+    assert number(row, "fp_iob").low < -1.0 < number(row, "fp_iob").high
+    assert number(row, "fp_ioe").low < 0.0
 
 
 def test_intervals_of_a_users_metric_are_clipped_to_the_range_of_its_class() -> None:
@@ -170,8 +175,7 @@ def test_intervals_of_a_users_metric_are_clipped_to_the_range_of_its_class() -> 
         for seed, value in enumerate([0.0, 0.0, 0.0, 0.0, 0.0, 0.6])
     ]
     row = summary(trials, seeds=6, scenes=1)["attacked"]
-    assert row.get("my_metric", "mission").low == 0.0
-    assert row.own == described
+    assert number(row, "my_metric", "mission").low == 0.0
 
 
 def test_critical_share_counts_trials_without_a_collision_course() -> None:
@@ -182,13 +186,13 @@ def test_critical_share_counts_trials_without_a_collision_course() -> None:
             done.append(outcome(label, 0, seed, driving={"ego": {"mission": {"min_ttc_s": least}}}))
     done[-1] = outcome("attacked", 0, 5, driving={"ego": {"mission": {"min_ttc_s": 1.5}}})
     rows = summary(done, seeds=6, scenes=1)
-    before, after = (rows[label].get("driving.critical", "mission") for label in ("baseline", "attacked"))
+    before, after = (number(rows[label], "driving.critical", "mission") for label in ("baseline", "attacked"))
     assert (before.value, after.value) == (pytest.approx(1 / 6), pytest.approx(5 / 6))
     assert before.rate
     assert 0.0 <= before.low < before.high < 1.0
     assert after.seeds == 6, "no seed is omitted"
-    assert rows["attacked"].get("driving.critical_iob", "mission").value == pytest.approx(4 / 6)
-    assert not any("min_ttc_s" in series.metric for row in rows.values() for series in row.estimates)
+    assert number(rows["attacked"], "driving.critical_iob", "mission").value == pytest.approx(4 / 6)
+    assert not any("min_ttc_s" in series.metric for row in rows.values() for series in row.numbers)
     assert any(each.metric == "driving.min_ttc_s" for each in numbers(done[0].metrics)), "results.parquet contains it"
 
 
@@ -199,13 +203,13 @@ def test_driven_cars_have_means_increments_and_rows_but_no_mean_of_what_some_tri
             ego = {"progress_m": way_m, "collisions": [{}] * (seed % 2), "min_gap_m": None if seed else 4.0}
             done.append(outcome(label, 0, seed, driven={"ego": ego, "mobile_1": {"progress_m": 5.0}}))
     row = summary(done, seeds=6, scenes=1)["attacked"]
-    assert row.get("progress_m", "driven").value == 65.0
-    assert row.get("collisions", "driven").value == 0.5
-    assert row.get("collisions", "driven").low >= 0.0
-    added = row.get("progress_m_iob", "driven")
+    assert number(row, "progress_m", "driven").value == 65.0
+    assert number(row, "collisions", "driven").value == 0.5
+    assert number(row, "collisions", "driven").low >= 0.0
+    added = number(row, "progress_m_iob", "driven")
     assert added.low < added.value == -37.5 < added.high < 0.0
-    assert row.get("progress_m", "driven", "mobile_1").value == 5.0
-    assert not any("min_gap_m" in series.metric for series in row.estimates)
+    assert number(row, "progress_m", "driven", "mobile_1").value == 5.0
+    assert not any("min_gap_m" in series.metric for series in row.numbers)
     assert any(each.metric == "min_gap_m" for each in numbers(done[0].metrics)), "results.parquet contains it"
 
 
@@ -220,19 +224,19 @@ def test_seeds_that_lack_a_trial_are_left_out_and_counted() -> None:
         if (label, scene, seed) not in {("attacked", 1, 3), ("baseline", 0, 5)}
     ]
     rows = summary(done, 8)
-    added = rows["attacked"].get("fp_iob")
+    added = number(rows["attacked"], "fp_iob")
     outcomes = [seed for seed in range(8) if seed not in (3, 5)]
     assert (added.seeds, added.seeds_left_out(8), added.left_out, added.scenes) == (6, 2, 4, 2)
     assert added.value == pytest.approx(extra[:, outcomes].mean())
     assert added.low < added.value < added.high
-    assert (rows["attacked"].get("fp").seeds, rows["baseline"].get("fp").seeds) == (7, 7)
+    assert (number(rows["attacked"], "fp").seeds, number(rows["baseline"], "fp").seeds) == (7, 7)
 
 
 def test_four_seeds_have_a_mean_but_no_interval_and_no_test() -> None:
     done = [outcome(label, 0, seed, fp=float(seed)) for label in ("baseline", "attacked") for seed in range(4)]
     row = summary(done, 4, scenes=1)["attacked"]
-    assert row.get("fp").value == 1.5
-    assert np.isnan([row.get("fp").low, row.get("fp").high, row.get("fp_iob").p]).all()
+    assert number(row, "fp").value == 1.5
+    assert np.isnan([number(row, "fp").low, number(row, "fp").high, number(row, "fp_iob").p]).all()
 
 
 def test_booleans_become_success_rates_with_an_interval() -> None:
@@ -242,7 +246,7 @@ def test_booleans_become_success_rates_with_an_interval() -> None:
         for seed in range(10)
     ]
     row = summary(done, 10)["attacked"]
-    accepted, hidden = row.get("accepted", "achieved", "all"), row.get("hidden", "achieved", "all")
+    accepted, hidden = number(row, "accepted", "achieved", "all"), number(row, "hidden", "achieved", "all")
     assert accepted.rate
     assert (accepted.value, accepted.high) == (1.0, 1.0)
     assert 0.6 < accepted.low < 0.8
@@ -277,7 +281,7 @@ def test_suspensions_delays_false_alarms_and_withheld_objects_are_numbers_of_the
     assert np.isnan(none["delay_s"]), "nobody is suspended"
 
 
-def rows(defended: bool) -> list[StudyRow]:
+def rows(defended: bool) -> list[Row]:
     samples = Samples(study({"attacked": {}}, scenes=1), range(5))
     for seed in range(5):
         for label, delays_s in (("baseline", []), ("attacked", [1.0 + seed])):
@@ -289,7 +293,8 @@ def rows(defended: bool) -> list[StudyRow]:
 
 
 def test_the_table_of_a_study_has_the_defences_numbers_with_intervals() -> None:
-    tables = {each.title: each for each in sections(rows(True), "baseline", compare(rows(True), "baseline"))}
+    about = StudyFacts("made", "baseline", {}, (), (), None, "inproc", {}, (), {})
+    tables = {each.title: each for each in sections(rows(True), about, compare(rows(True), "baseline"))}
     table = tables["What the defence did"]
     assert table.terminal
     lines = {line[0]: dict(zip(table.headings, line, strict=True)) for line in table.lines}

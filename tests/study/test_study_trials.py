@@ -20,6 +20,7 @@ from small_study import TABLES, tables, write_small
 from mast_zenoh.errors import ConfigurationError, DiskFull, Interrupted, RunFolderError, TrialsFailed
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.metrics.estimates import ESTIMATORS, LOCAL, PICTURE, RECEIVED
+from mast_zenoh.metrics.study_results import StudySeries
 from mast_zenoh.study import definition, execution, trial, trials
 from mast_zenoh.study.store import Store
 from mast_zenoh.study.trial import Trial, TrialOutcome
@@ -59,7 +60,7 @@ def test_an_attack_that_would_begin_after_the_last_frame_is_reported_and_has_no_
     never = "The attack of attacked n_adversaries=1 false_positives=5.0 never began"
     assert f"{never}: it begins at 0.8 s, and the trials end after 0.8 s." in text
     assert "What the attack achieved" not in text
-    assert not any(series.estimator == "achieved" for row in outcome.rows for series in row.estimates)
+    assert not any(series.estimator == "achieved" for row in outcome.rows for series in row.numbers)
     assert "never began" in outcome.report.read_text()
 
 
@@ -185,7 +186,8 @@ def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, mo
     assert (failed.configuration, failed.seed, failed.error) == ("attacked-1-5.0", 1, "RunError: on purpose")
     assert failed.command in str(caught.value)
     assert "--seed 1" in failed.command
-    estimates = {row.label: (row.get("fp_iob").seeds, row.get("fp_iob").left_out) for row in outcome.rows}
+    added = StudySeries("", "picture", "fp_iob")
+    estimates = {row.configuration: (row[added].seeds, row[added].left_out) for row in outcome.rows}
     assert estimates == {"baseline": (0, 0), "attacked-1-5.0": (1, 1), "attacked-1-20.0": (2, 0)}
     for page in ((outcome.out / "table.md").read_text(), outcome.report.read_text()):
         results = page.index('">What the attack adds</h2>' if page.startswith("<!DOCTYPE") else "What the attack adds")

@@ -12,14 +12,13 @@ import numpy as np
 
 from mast_zenoh.config import plugins
 from mast_zenoh.config.resolved import DRIVER_ROLE, Resolved
-from mast_zenoh.errors import MessageError, RunFolderError
+from mast_zenoh.errors import MessageError, RunFolderError, plural
 from mast_zenoh.launch.ending import RUNNING
 from mast_zenoh.launch.notices import of_recording
 from mast_zenoh.launch.replay.cut import ReplayedMesh
 from mast_zenoh.links import WIRES, type_number
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Message
-from mast_zenoh.metrics.study_results import plural
 from mast_zenoh.run_folder import versions
 from mast_zenoh.run_folder.finding import names, sentence
 from mast_zenoh.run_folder.recording import churn

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -17,6 +17,7 @@ from matplotlib.patches import Polygon, Rectangle
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 from numpy.typing import ArrayLike
 
+from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.show.figures.style import LINE_STYLES, MARKERS, Figure, light_axes, plain
 from mast_zenoh.show.palette import INK, LOCAL, PALE, RUN_COLOURS
@@ -37,7 +38,7 @@ class Axis(NamedTuple):
     log: whether the axis may be logarithmic;  title: of its panels
     """
 
-    measure: str
+    measure: Any
     label: str
     factor: float = 1.0
     log: bool = False
@@ -58,7 +59,7 @@ def facet(
     into: SubFigure | None = None,
     title: str = "",
 ) -> Figure:
-    """Curves of rows in a panel for each measure, or for each value of a name.
+    """Curves of rows in a panel for each measure, or for each value of a name. Raises ConfigurationError.
 
     x, hue, by: names of what rows are of: a number or a text, along the axis; what curves differ by, and panels
     y: the measures; one if there is `by`;  columns: of panels, 0: one line;  label: of x
@@ -66,6 +67,7 @@ def facet(
     into: what it is drawn into, None: a new figure;  title: above the names of curves
     Texts of x are on lines below each other, and their numbers along the other axis.
     """
+    _check_arguments(rows, y, {"x": x, "hue": hue} | ({"by": by} if by else {}))
     groups = _values(rows, by) if by else [None]
     panels = [(axis, group) for axis in y for group in groups]
     columns = columns or len(panels)
@@ -110,6 +112,21 @@ def facet(
         figure.supxlabel(label, fontsize=_SIZE, color=INK)
     legend_above(figure, title=title)
     return figure
+
+
+def _check_arguments(rows: Sequence[Row], y: Sequence[Axis], names: Mapping[str, str]) -> None:
+    """Raise ConfigurationError for axes that are none, and names and measures that rows lack. names: by argument"""
+    if isinstance(y, (str, Axis)) or not all(isinstance(axis, Axis) for axis in y):
+        raise ConfigurationError(f"facet: y: found {y!r:.120}, expected a list of Axis(measure, label), one a panel")
+    for row in rows:
+        if not isinstance(row, Row):
+            raise ConfigurationError(f"facet: rows: found {row!r:.120}, expected a Row")
+        for argument, name in names.items():
+            if name not in row.of:
+                raise ConfigurationError(f"facet: {argument}: found {name!r}{nearest(str(name), row.of)}")
+        for axis in y:
+            if row.numbers and axis.measure not in row.numbers:
+                raise ConfigurationError(f"facet: y: found {axis.measure!r}{nearest(str(axis.measure), row.numbers)}")
 
 
 def _values(rows: Sequence[Row], name: str) -> list[Any]:
@@ -309,7 +326,7 @@ def shortened(each: Statistic) -> str:
 def colour_panel(
     axes: Axes,
     cells: Sequence[Sequence[Row | None]],
-    measure: str,
+    measure: object,
     norm: Normalize,
     text: Callable[[Statistic], str] = shortened,
     size: float = _CELL_SIZE,

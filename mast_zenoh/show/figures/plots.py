@@ -15,7 +15,7 @@ from matplotlib.patches import Patch, Rectangle
 
 from mast_zenoh.errors import ConfigurationError, RunFolderError, nearest
 from mast_zenoh.metrics.estimates import ESTIMATES
-from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans, TrustPanel
+from mast_zenoh.metrics.trust import AgentTrustSeries, Spans, TrustPanel
 from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.runs.events import trust_in_agents
 from mast_zenoh.runs.frame import Frame

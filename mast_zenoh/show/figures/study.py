@@ -6,19 +6,19 @@ import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import SubFigure
 
-from mast_zenoh.metrics.study_results import MIN_SEEDS, Row, Statistic, StudyFacts, StudyRow
+from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE
+from mast_zenoh.metrics.study_results import MIN_SEEDS, Row, Statistic, StudyFacts, StudySeries
 from mast_zenoh.show.figures.drawing import RenderedFigure, render
 from mast_zenoh.show.figures.facets import Axis, colour_panel, facet
 from mast_zenoh.show.figures.style import Figure, plain
 from mast_zenoh.show.findings.words import of_study
 from mast_zenoh.show.palette import INK
-from mast_zenoh.show.tables.study_rows import PAPER, StudyColumn, over_trials
+from mast_zenoh.show.tables.study_rows import over_trials
 
 #: Two numeric parameters with this many values each make a heat map instead of curves.
 MIN_FOR_HEAT_MAP = 4
@@ -44,51 +44,51 @@ class Panel:
     y: str
     ticks: tuple[object, ...]
     numeric: bool
-    curves: Mapping[str, Sequence[StudyRow]]
+    curves: Mapping[str, Sequence[Row]]
 
 
-def panels(rows: Sequence[StudyRow], baseline: str) -> list[Panel]:
+def panels(rows: Sequence[Row], baseline: str) -> list[Panel]:
     """All configurations but the baseline, each shown once.
 
     Runs that sweep the same one parameter share a panel, with a curve each. A run that sweeps two has its own, with a
     curve for each value of the second, or a heat map; one that sweeps more, a panel for each choice of the others. Of
     several parameters the numeric one with most values goes along x. Runs without a sweep share a separate panel.
     """
-    by_run: dict[str, list[StudyRow]] = {}
+    by_run: dict[str, list[Row]] = {}
     for row in rows:
-        if row.label != baseline:
+        if row.configuration != baseline:
             by_run.setdefault(row.run, []).append(row)
-    by_panel: dict[tuple[str, str, str], list[StudyRow]] = {}  # by title, x, and the parameter by which curves differ
+    by_panel: dict[tuple[str, str, str], list[Row]] = {}  # by title, x, and the parameter by which curves differ
     for run, run_rows in by_run.items():
         swept = _swept(run_rows)
         x = max(swept, key=lambda name: (_ticks(run_rows, name)[1], len(_ticks(run_rows, name)[0])), default="")
         second, *others = [name for name in swept if name != x] or [""]
         for row in run_rows:
-            choice = [f"{label_of(name)} = {text_of(row.point[name])}" for name in others]
+            choice = [f"{label_of(name)} = {text_of(row.of[name])}" for name in others]
             title = ", ".join([run, *choice]) if second else ""
             by_panel.setdefault((title, x, second), []).append(row)
     several_last = sorted(by_panel.items(), key=lambda item: bool(item[0][2]))
     return [_panel(*of, panel_rows) for of, panel_rows in several_last]
 
 
-def _panel(title: str, x: str, second: str, rows: Sequence[StudyRow]) -> Panel:
+def _panel(title: str, x: str, second: str, rows: Sequence[Row]) -> Panel:
     """A panel of curves by the values of a second parameter, or by run."""
     if not x:
-        return Panel("", "", "", tuple(row.label for row in rows), False, {"": rows})
+        return Panel("", "", "", tuple(row.configuration for row in rows), False, {"": rows})
     ticks, numeric = _ticks(rows, x)
     values, numbers = _ticks(rows, second) if second else ((), False)
-    curves: dict[str, list[StudyRow]] = {}
-    for row in sorted(rows, key=lambda row: values.index(row.point[second]) if second else 0):
-        label = f"{label_of(second)} = {text_of(row.point[second])}" if second else row.run
+    curves: dict[str, list[Row]] = {}
+    for row in sorted(rows, key=lambda row: values.index(row.of[second]) if second else 0):
+        label = f"{label_of(second)} = {text_of(row.of[second])}" if second else row.run
         curves.setdefault(label, []).append(row)
     for curve in curves.values():
-        curve.sort(key=lambda row: ticks.index(row.point[x]))
+        curve.sort(key=lambda row: ticks.index(row.of[x]))
     heat = numeric and numbers and min(len(ticks), len(values)) >= MIN_FOR_HEAT_MAP
     alone = rows[0].run if len(curves) == 1 else ""
     return Panel(title or alone, x, second if heat else "", ticks, numeric, curves)
 
 
-def _swept(rows: Iterable[StudyRow]) -> list[str]:
+def _swept(rows: Iterable[Row]) -> list[str]:
     """The parameters of which a run has several values."""
     values: dict[str, set[str]] = {}
     for row in rows:
@@ -97,11 +97,11 @@ def _swept(rows: Iterable[StudyRow]) -> list[str]:
     return [name for name, each in values.items() if len(each) > 1]
 
 
-def _ticks(rows: Iterable[StudyRow], name: str) -> tuple[tuple[object, ...], bool]:
+def _ticks(rows: Iterable[Row], name: str) -> tuple[tuple[object, ...], bool]:
     """The values of a parameter, numbers ascending; and whether they are numbers."""
-    values = [row.point[name] for row in rows]
+    values = [row.of[name] for row in rows]
     if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values):
-        return tuple(sorted(set(values), key=float)), True  # type: ignore[arg-type]
+        return tuple(sorted(set(values), key=float)), True
     return tuple({repr(value): value for value in values}.values()), False
 
 
@@ -128,24 +128,16 @@ _ADDED = "more than in the baseline"
 _OVER_SEEDS = "95 % interval over seeds of these scenes"
 
 
-class StudyAxis(NamedTuple):
-    """One column of panels: title, label of y, and column of estimates."""
-
-    title: str
-    label: str
-    column: StudyColumn
-
-
 _PER_FRAME = f"{_ADDED}, per frame"
 #: The axes of the figures of increments, by file name.
-_INCREMENTS: dict[str, Sequence[StudyAxis]] = {
+_INCREMENTS: dict[str, Sequence[Axis]] = {
     "increments": (
-        StudyAxis("False objects: picture", _PER_FRAME, StudyColumn("", "fp_iob")),
-        StudyAxis("Missed objects: picture", _PER_FRAME, StudyColumn("", "fn_iob")),
-        StudyAxis("False objects: compromised agents", _PER_FRAME, PAPER[0][1][1]),
+        Axis(StudySeries("", PICTURE, "fp_iob"), _PER_FRAME, title="False objects: picture"),
+        Axis(StudySeries("", PICTURE, "fn_iob"), _PER_FRAME, title="Missed objects: picture"),
+        Axis(StudySeries("compromised", LOCAL, "cafp_iob"), _PER_FRAME, title="False objects: compromised agents"),
     ),
     "increments_mission": [
-        StudyAxis(f"{title}: ego with the picture", label, StudyColumn("", metric, "mission"))
+        Axis(StudySeries("", MISSION, metric), label, title=f"{title}: ego with the picture")
         for title, label, metric in (
             ("False objects", _PER_FRAME, "fp_iob"),
             ("Missed objects", _PER_FRAME, "fn_iob"),
@@ -162,20 +154,20 @@ _CAPTIONS = {
 }
 
 
-def figures_over_trials(rows: Sequence[StudyRow], facts: StudyFacts) -> dict[str, RenderedFigure]:
+def figures_over_trials(rows: Sequence[Row], facts: StudyFacts) -> dict[str, RenderedFigure]:
     """The figures by file name, without empty ones."""
     all_panels = panels(rows, facts.baseline)
-    rows = [row for row in rows if row.label != facts.baseline]
-    rates = dict.fromkeys(series for row in rows for series, each in row.estimates.items() if each.rate)
+    rows = [row for row in rows if row.configuration != facts.baseline]
+    rates = dict.fromkeys(series for row in rows for series, each in row.numbers.items() if each.rate)
     # Of all adversaries together, at most three.
     success = [
-        StudyAxis(metric.replace("_", " "), "success rate (%)", StudyColumn("", metric, estimator, owner))
-        for owner, estimator, metric in rates
-        if owner == "all"
+        Axis(series, "success rate (%)", 100.0, title=series.metric.replace("_", " "))
+        for series in rates
+        if series.owner == "all"
     ][:3]
     pictures = {}
     for name, axes in (*_INCREMENTS.items(), ("success", success)):
-        estimates = {axis: [each for row in rows if (each := axis.column.of(row)).seeds] for axis in axes}
+        estimates = {axis: [each for row in rows if (each := row.get(axis.measure)).seeds] for axis in axes}
         axes = [axis for axis, of_axis in estimates.items() if of_axis]
         if not (axes and all_panels):
             continue
@@ -186,7 +178,7 @@ def figures_over_trials(rows: Sequence[StudyRow], facts: StudyFacts) -> dict[str
         if any(panel.y for panel in all_panels):
             footer += "; in brackets where it contains 0 or there is none"
         caption = " ".join([_CAPTIONS[name], *(of_study("bar_notes", **_bars(known)) if name in _INCREMENTS else [])])
-        of_first = [(row.label, axes[0].column.of(row)) for row in rows]
+        of_first = [(row.configuration, row.get(axes[0].measure)) for row in rows]
         values = "; ".join(f"{label} {over_trials(each)}" for label, each in of_first if each.seeds)
         alt = f"{axes[0].title}, {axes[0].label}: {values}."
         pictures[name] = render(name, _draw(all_panels, axes, footer), alt, caption, printed=True)
@@ -204,7 +196,7 @@ def _bars(known: Sequence[Statistic]) -> dict[str, bool]:
     }
 
 
-def _draw(all_panels: Sequence[Panel], columns: Sequence[StudyAxis], footer: str) -> Figure:
+def _draw(all_panels: Sequence[Panel], columns: Sequence[Axis], footer: str) -> Figure:
     """A row of axes per panel, one for each of `columns`.
 
     Heat maps of a column share their colour scale.
@@ -218,12 +210,10 @@ def _draw(all_panels: Sequence[Panel], columns: Sequence[StudyAxis], footer: str
         if not panel.y:
             _curves(strip, panel, columns)
             continue
-        for axes, (title, label, column) in zip(
-            strip.subplots(1, len(columns), squeeze=False)[0], columns, strict=True
-        ):
-            sizes = [abs(column.of(row).value) for row in all_rows if column.of(row).seeds]
-            _heat_map(axes, panel, column, max(sizes, default=0.0) or 1.0)
-            axes.set_title(f"{title}\n{label}", fontsize=9.5, color=INK, loc="left")
+        for axes, column in zip(strip.subplots(1, len(columns), squeeze=False)[0], columns, strict=True):
+            sizes = [abs(row.get(column.measure).value) for row in all_rows if row.get(column.measure).seeds]
+            _heat_map(axes, panel, column.measure, max(sizes, default=0.0) or 1.0)
+            axes.set_title(f"{column.title}\n{column.label}", fontsize=9.5, color=INK, loc="left")
             axes.set_xlabel(plain(label_of(panel.x)), fontsize=9.5, color=INK)
             axes.set_ylabel(plain(label_of(panel.y)), fontsize=9.5, color=INK)
         if panel.title:
@@ -232,43 +222,41 @@ def _draw(all_panels: Sequence[Panel], columns: Sequence[StudyAxis], footer: str
     return figure
 
 
-def _curves(strip: SubFigure, panel: Panel, columns: Sequence[StudyAxis]) -> None:
+def _curves(strip: SubFigure, panel: Panel, columns: Sequence[Axis]) -> None:
     """A panel for each column, with one curve per run or value; texts are on lines below each other."""
     rows = [
         Row(
-            {"x": (row.point[panel.x] if panel.numeric else text_of(row.point[panel.x])) if panel.x else row.label}
+            {"x": row.of[panel.x or "configuration"] if panel.numeric else text_of(row.of[panel.x or "configuration"])}
             | {"curve": label},
             0,
-            {title: column.of(row) for title, _, column in columns},
+            {column.measure: row.get(column.measure) for column in columns},
         )
         for label, curve in panel.curves.items()
         for row in curve
     ]
-    axes = []
-    for title, label, _ in columns:
-        rate = any(row.numbers[title].rate for row in rows)
-        axes.append(Axis(title, label, 100.0 if rate else 1.0, title=title))
+    for column in columns:
+        rate = any(row[column.measure].rate for row in rows)
         # No adversary, no success.
         if rate and panel.x.rpartition(".")[2] == "n_adversaries" and panel.numeric and 0 not in panel.ticks:
-            nothing = {each: Statistic(value=0.0) for each, *_ in columns}
+            nothing = {each.measure: Statistic(value=0.0) for each in columns}
             rows.append(Row({"x": 0, "curve": ""}, 0, nothing))
     numbers = [float(row.of["x"]) for row in rows] if panel.numeric else []
     wide = len(panel.ticks) > 2 and min(numbers, default=0.0) > 0.0 and max(numbers) / min(numbers) >= _LOG_FROM
     label = plain(label_of(panel.x)) if panel.numeric else ""
-    facet(rows, "x", axes, "curve", label=label, log=wide, into=strip, title=plain(panel.title))
+    facet(rows, "x", columns, "curve", label=label, log=wide, into=strip, title=plain(panel.title))
 
 
-def _heat_map(axes: Axes, panel: Panel, column: StudyColumn, scale: float) -> None:
+def _heat_map(axes: Axes, panel: Panel, measure: object, scale: float) -> None:
     """Means as colours and numbers, in brackets if the interval contains 0 or is none."""
     cells, curves = list[list[Row | None]](), [*panel.curves.items()][::-1]
     for _, curve in curves:
-        rows = {row.point[panel.x]: Row({}, 0, {"": column.of(row)}) for row in curve}
+        rows = {row.of[panel.x]: Row({}, 0, {measure: row.get(measure)}) for row in curve}
         cells.append([rows.get(tick) for tick in panel.ticks])
 
     def text(each: Statistic) -> str:
         size = f"{100 * each.value:.0f}" if each.rate else f"{each.value:.3g}"
         return (size if each.low > 0.0 or each.high < 0.0 else f"({size})").replace("-", "\u2212")
 
-    colour_panel(axes, cells, "", Normalize(-scale, scale), text, 9.0)
+    colour_panel(axes, cells, measure, Normalize(-scale, scale), text, 9.0)
     axes.set_xticks(range(len(panel.ticks)), [plain(text_of(tick)) for tick in panel.ticks])
     axes.set_yticks(range(len(curves)), [plain(label.partition(" = ")[2]) for label, _ in curves])

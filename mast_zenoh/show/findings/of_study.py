@@ -6,18 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from mast_zenoh.errors import plural
 from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE
 from mast_zenoh.metrics.measures import SUMMARY_NAMES
-from mast_zenoh.metrics.study_results import (
-    LEVEL,
-    Statistic,
-    StudyFacts,
-    StudyRow,
-    StudySeries,
-    clearest,
-    holm,
-    plural,
-)
+from mast_zenoh.metrics.study_results import LEVEL, Row, Statistic, StudyFacts, StudySeries, clearest, holm
 from mast_zenoh.run_folder.finding import Finding, sentence
 from mast_zenoh.show.findings.changes import DISPLACED, ERRORS, FALSE, IDENTITY, MISSED
 from mast_zenoh.show.findings.words import of_study
@@ -27,8 +19,7 @@ from mast_zenoh.show.tables.study_rows import (
     DRIVEN,
     ESTIMATORS,
     PAPER,
-    StudyColumn,
-    columns_of,
+    series_of,
     unchanged,
     value,
 )
@@ -57,36 +48,30 @@ class Comparisons:
         """Bonferroni level of each interval for a joint level of LEVEL."""
         return LEVEL / max(self.count, 1)
 
-    def remains(self, row: StudyRow, column: StudyColumn) -> bool:
+    def remains(self, row: Row, series: StudySeries) -> bool:
         """Whether the difference is distinguishable from 0 after Holm's procedure."""
-        series = StudySeries(column.owner or row.ego, column.estimator, column.metric)
-        return self.adjusted.get((row.label, series), 1.0) <= LEVEL
+        return self.adjusted.get((row.configuration, series), 1.0) <= LEVEL
 
-    def shows(self, row: StudyRow, column: StudyColumn) -> bool:
+    def shows(self, row: Row, series: StudySeries) -> bool:
         """Whether the difference remains, or is the same in all seeds."""
-        return self.remains(row, column) or column.of(row).certain
+        return self.remains(row, series) or row.get(series).certain
 
     def remaining(self) -> int:
         """The number of contrasts that remain distinguishable from 0."""
         return sum(p <= LEVEL for p in self.adjusted.values())
 
 
-def compare(rows: Sequence[StudyRow], baseline: str) -> Comparisons:
+def compare(rows: Sequence[Row], baseline: str) -> Comparisons:
     """The contrasts with a p-value in the tables of increments, each counted once."""
     tested = {
-        (row.label, series): estimate
+        (row.configuration, series): estimate
         for row in rows
-        if row.label != baseline
-        for series, estimate in row.estimates.items()
+        if row.configuration != baseline
+        for series, estimate in row.numbers.items()
         if not math.isnan(estimate.p)
     }
-    table_series = {(column.owner, column.estimator, column.metric) for column in columns_of(ADDED + PAPER)}
-    ego = {row.label: row.ego for row in rows}
-    counted = {
-        (label, series): estimate
-        for (label, series), estimate in tested.items()
-        if table_series & {(None if series.owner == ego[label] else series.owner, series.estimator, series.metric)}
-    }
+    in_tables = {*series_of(ADDED + PAPER)}
+    counted = {(label, series): estimate for (label, series), estimate in tested.items() if series in in_tables}
     priority = {estimator: rank for rank, estimator in enumerate(_PRIORITY)}  # of equally clear ones
     counted = dict(sorted(counted.items(), key=lambda item: priority.get(item[0][1].estimator, len(priority))))
     adjusted = dict(zip(counted, holm([each.p for each in counted.values()]), strict=True))
@@ -110,33 +95,35 @@ _LEAST = 0.01
 #: Estimates in order of priority: what the ego acts on comes first.
 _PRIORITY = (MISSION, PICTURE, LOCAL)
 
-_Change = tuple[StudyRow, StudyColumn]
+_Change = tuple[Row, StudySeries]
 
 
-def titled(rows: Sequence[StudyRow], facts: StudyFacts) -> tuple[list[StudyRow], StudyFacts]:
+def titled(rows: Sequence[Row], facts: StudyFacts) -> tuple[list[Row], StudyFacts]:
     """Copies whose configuration labels name each parameter."""
-    return [replace(row, label=row.title) for row in rows], facts.titled({row.label: row.title for row in rows})
+    renamed = [replace(row, of={"configuration": row.title}) for row in rows]
+    return renamed, facts.titled({row.configuration: row.title for row in rows})
 
 
-def result(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> str:
+def result(rows: Sequence[Row], facts: StudyFacts, comparisons: Comparisons) -> str:
     """The clearest change in a sentence, after one for each attack that never began."""
     idle = [text for each in facts.idle for text in of_study("never_began", idle=each)]
     attacked = _attacked(rows, facts)
     return " ".join([*idle, *([_result(rows, attacked, comparisons)] if attacked or not idle else [])])
 
 
-def _attacked(rows: Sequence[StudyRow], facts: StudyFacts) -> list[StudyRow]:
+def _attacked(rows: Sequence[Row], facts: StudyFacts) -> list[Row]:
     """Configurations other than the baseline whose attack began in some trial."""
-    return [row for row in rows if row.label != facts.baseline and row.label not in facts.never_attacked]
+    known = (facts.baseline, *facts.never_attacked)
+    return [row for row in rows if row.configuration not in known]
 
 
 NO_CHANGE = "No configuration changes false or missed objects in any estimate of the ego"
 
 
-def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons: Comparisons) -> str:
+def _result(rows: Sequence[Row], attacked: Sequence[Row], comparisons: Comparisons) -> str:
     headline = _headline(attacked, comparisons)
     changes = _changes(attacked, ("fp_iob", "fn_iob"))
-    largest = _largest([(row, column) for row, column in changes if not column.of(row).is_zero])
+    largest = _largest([(row, series) for row, series in changes if not row.get(series).is_zero])
     return of_study(
         "result",
         rows=rows,
@@ -144,14 +131,14 @@ def _result(rows: Sequence[StudyRow], attacked: Sequence[StudyRow], comparisons:
         headline=headline and _sentence(headline),
         largest=largest and _sentence(largest),
         compared=largest and _compared(largest),
-        rare=largest and largest[1].of(largest[0]).mostly_zero,
+        rare=largest and largest[0].get(largest[1]).mostly_zero,
         known=changes,
         same=NO_CHANGE,
         made=comparisons,
     )[0]
 
 
-def other_changes(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
+def other_changes(rows: Sequence[Row], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
     """The largest change of each kind not in `result`, and the kinds without change."""
     attacked = _attacked(rows, facts)
     if not attacked:
@@ -190,53 +177,55 @@ def _silence(known: Sequence[Statistic], *, tested: bool) -> str:
 def _compared(change: _Change) -> str:
     """The group of changes of which this one is the largest."""
     names = "false or missed objects"
-    row, column = change
-    if column.estimator == MISSION and any(each.estimator == DRIVEN for each in row.estimates):
+    row, series = change
+    if series.estimator == MISSION and any(each.estimator == DRIVEN for each in row.numbers):
         return f"{names} in the mission estimate"  # with a veto, its driver acts on something else
-    return f"{names} in {ESTIMATES[column.estimator].noun}"
+    return f"{names} in {ESTIMATES[series.estimator].noun}"
 
 
-def _changes(rows: Sequence[StudyRow], metrics: Sequence[str]) -> list[_Change]:
+def _changes(rows: Sequence[Row], metrics: Sequence[str]) -> list[_Change]:
     """All known changes of metrics, of estimates in order of priority."""
-    every = [(row, StudyColumn("", name, each)) for each in _PRIORITY for row in rows for name in metrics]
-    return [(row, column) for row, column in every if not math.isnan(column.of(row).value)]
+    every = [(row, StudySeries("", each, name)) for each in _PRIORITY for row in rows for name in metrics]
+    return [(row, series) for row, series in every if row.get(series).known]
 
 
-def _estimates_of(rows: Sequence[StudyRow], metric: str) -> list[Statistic]:
+def _estimates_of(rows: Sequence[Row], metric: str) -> list[Statistic]:
     """All known estimates of a metric."""
-    return [column.of(row) for row, column in _changes(rows, (metric,))]
+    return [row.get(series) for row, series in _changes(rows, (metric,))]
 
 
 def _largest(changes: Sequence[_Change]) -> _Change | None:
     """The largest of the changes in the first estimate that has any."""
     first = [each for each in changes if each[1].estimator == changes[0][1].estimator]
-    return max(first, key=lambda change: abs(change[1].of(change[0]).value), default=None)
+    return max(first, key=lambda change: abs(change[0].get(change[1]).value), default=None)
 
 
-def _headline(rows: Sequence[StudyRow], comparisons: Comparisons) -> _Change | None:
+def _headline(rows: Sequence[Row], comparisons: Comparisons) -> _Change | None:
     """The clearest change of the ego's estimates; without any, the largest that is the same in all seeds."""
-    by_label = {row.label: row for row in rows}
-    for label, (owner, estimator, metric) in comparisons.clearest:
+    by_label = {row.configuration: row for row in rows}
+    for label, series in comparisons.clearest:
         row = by_label.get(label)
-        if row is not None and owner == row.ego and estimator in _PRIORITY and metric in _CHANGES:
-            change = row, StudyColumn("", metric, estimator)
-            if metric in _COUNTED or abs(change[1].of(row).value) >= _LEAST:
-                return change
-    return _largest([(row, column) for row, column in _changes(rows, _COUNTED) if column.of(row).certain])
+        if row is None or series.owner or series.estimator not in _PRIORITY or series.metric not in _CHANGES:
+            continue
+        if series.metric in _COUNTED or abs(row.get(series).value) >= _LEAST:
+            return row, series
+    return _largest([(row, series) for row, series in _changes(rows, _COUNTED) if row.get(series).certain])
 
 
 def _sentence(change: _Change) -> str:
     """`in attacked-3 the picture has 6.10 more false objects a frame [5.20, 7.00] …`."""
-    row, column = change
-    estimate = column.of(row)
+    row, series = change
+    estimate = row.get(series)
     sign = 1.0 if estimate.value >= 0.0 else -1.0
     ends = sorted((sign * estimate.low, sign * estimate.high))
     positive = estimate._replace(value=sign * estimate.value, low=ends[0], high=ends[1])
-    kind = _CHANGES[column.metric][1]
+    kind = _CHANGES[series.metric][1]
     difference = Finding("difference", what=kind, value=estimate.value, unit=ERRORS[kind].unit)
     text = sentence(difference, value(positive))
-    subject = ESTIMATES[column.estimator].subject
-    return of_study("changed_in", label=row.label, subject=subject, text=text, each=estimate, positive=positive)[0]
+    subject = ESTIMATES[series.estimator].subject
+    return of_study(
+        "changed_in", label=row.configuration, subject=subject, text=text, each=estimate, positive=positive
+    )[0]
 
 
 def comparisons_made(comparisons: Comparisons) -> str:
@@ -244,20 +233,21 @@ def comparisons_made(comparisons: Comparisons) -> str:
     return of_study("comparisons", made=comparisons, level=LEVEL)[0]
 
 
-def is_of_user(row: StudyRow, series: StudySeries) -> bool:
+def is_of_user(series: StudySeries) -> bool:
     """Whether a series is a user's metric of one of the ego's main estimates."""
-    metric, ego = series.metric, series.owner == row.ego and series.estimator in ESTIMATORS
+    metric, ego = series.metric, not series.owner and series.estimator in ESTIMATORS
     return ego and metric.isidentifier() and metric not in SUMMARY_NAMES and not metric.endswith(("_iob", "_ioe"))
 
 
-def reservations(rows: Sequence[StudyRow], facts: StudyFacts) -> list[str]:
+def reservations(rows: Sequence[Row], facts: StudyFacts) -> list[str]:
     """Caveats: differences not due to attacks alone, and numbers based on fewer seeds."""
-    names = {(column.estimator, column.metric): column.heading for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
+    columns = (column for _, group in (*ALL_SCORES, *ADDED, *PAPER) for column in group.items())
+    names = {(series.estimator, series.metric): heading for heading, series in columns}
     left_out: dict[str, dict[int, list[str]]] = {}
     for row in rows:
-        by_count = left_out.setdefault(row.label, {})
-        for series, estimate in row.estimates.items():
-            own = is_of_user(row, series)
+        by_count = left_out.setdefault(row.configuration, {})
+        for series, estimate in row.numbers.items():
+            own = is_of_user(series)
             if own or (series.estimator, series.metric) in names:
                 name = series.metric if own else names[series.estimator, series.metric]
                 where = ESTIMATORS.get(series.estimator, series.estimator)

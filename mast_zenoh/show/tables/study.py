@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from rich.console import Group
 from rich.text import Text
 
 from mast_zenoh.metrics import CAUSES
 from mast_zenoh.metrics.measures import SUMMARY_NAMES
-from mast_zenoh.metrics.study_results import Statistic, StudyFacts, StudyRow, StudySeries, shares
+from mast_zenoh.metrics.study_results import Row, Statistic, StudyFacts, StudySeries, shares
 from mast_zenoh.show.findings.of_study import (
     Comparisons,
     compare,
@@ -32,13 +32,12 @@ from mast_zenoh.show.tables.study_rows import (
     PAPER,
     SCORES,
     Groups,
-    StudyColumn,
     attacks_differ,
     bounds,
-    columns_of,
     over_frames,
     over_trials,
     present,
+    series_of,
     unchanged,
     value,
 )
@@ -49,12 +48,12 @@ _WRONG = {"fp": "false objects", "fn": "missed objects"}
 _PAIRED = "Difference from the baseline of the same scene and seed; mean and 95 % interval over seeds of these scenes."
 
 
-def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) -> list[TextTable]:
+def sections(rows: Sequence[Row], facts: StudyFacts, comparisons: Comparisons) -> list[TextTable]:
     """All non-empty tables of a study."""
-    attacked = [row for row in rows if row.label != baseline]
-    title = difference_title(rows, baseline)
+    attacked = [row for row in rows if row.configuration != facts.baseline]
+    title = difference_title(rows, facts.baseline)
     defended, apart = (
-        [row for row in rows if any(series.estimator in names for series in row.estimates)]
+        [row for row in rows if any(series.estimator in names for series in row.numbers)]
         for names in (("defence",), ("pictures", "channel"))
     )
     tables = [_paper(title, attacked, comparisons), *_added(title, attacked, comparisons)]
@@ -63,13 +62,13 @@ def sections(rows: Sequence[StudyRow], baseline: str, comparisons: Comparisons) 
             f"{title}, to other scenes: {group[0]}", _TO_OTHER_SCENES, (group,), attacked, _to_scenes, terminal=False
         )
         for group in ADDED
-        if any(not math.isnan(column.of(row).scenes_low) for row in attacked for column in group[1])
+        if any(not math.isnan(row.get(series).scenes_low) for row in attacked for series in group[1].values())
     ]
     tables += [_table(f"Scores: {group[0]}", _SCORED, (group,), rows, _cell_of, brief=True) for group in ALL_SCORES]
     tables += [*_achieved(attacked), _table("What the defence did", paragraph("defended"), DEFENCE, defended, _cell_of)]
     tables += [
         _table("Pictures and radio channel", paragraph("pictures_and_channel"), COOPERATION, apart, _cell_of),
-        _others(rows),
+        _others(rows, facts.units),
     ]
     tables += [_causes(rows, estimator, outcome) for estimator in ("picture", "mission") for outcome in _WRONG]
     return [table for table in tables if table.lines and len(table.headings) > 1]
@@ -80,34 +79,34 @@ _PER_FRAME = "Mean and standard deviation over the frames of all trials; below, 
 _SCORED = "FN, FP, TP: objects per frame missed, false and matched. Mean and 95 % interval over seeds."
 
 
-def difference_title(rows: Sequence[StudyRow], baseline: str) -> str:
+def difference_title(rows: Sequence[Row], baseline: str) -> str:
     """How the titles of tables of differences from the baseline begin."""
     return "What the attack adds" if attacks_differ(rows, baseline) else "Difference from the baseline"
 
 
-def side_by_side(rows: Sequence[StudyRow]) -> TextTable:
+def side_by_side(rows: Sequence[Row]) -> TextTable:
     """The scores of all estimates in one table, a group of columns for each."""
     return _table("", "", SCORES, rows, _cell_of)
 
 
-def _paper(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> TextTable:
+def _paper(title: str, rows: Sequence[Row], comparisons: Comparisons) -> TextTable:
     caption = paragraph("paper_increments")
 
-    def cell(row: StudyRow, column: StudyColumn) -> str:
-        estimate = column.of(row)
+    def cell(row: Row, series: StudySeries) -> str:
+        estimate = row.get(series)
         same = number(estimate.value) in (number(estimate.mean), DASH)
         below = bounds(estimate) if same else over_trials(estimate)
-        return _cell(over_frames(estimate), below, marked=comparisons.remains(row, column))
+        return _cell(over_frames(estimate), below, marked=comparisons.remains(row, series))
 
     return _table(f"{title}, in the paper's columns", caption, PAPER, rows, cell)
 
 
-def _added(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> list[TextTable]:
+def _added(title: str, rows: Sequence[Row], comparisons: Comparisons) -> list[TextTable]:
     """A table per estimate that differs; the terminal shows the ego's."""
     return [
         _table(
             *(f"{title}: {group[0]}", _PAIRED, (group,), rows),
-            lambda row, column: _over_trials(column.of(row), marked=comparisons.remains(row, column)),
+            lambda row, series: _over_trials(row.get(series), marked=comparisons.remains(row, series)),
             terminal=estimator != "picture",
         )
         for estimator, group in zip(ESTIMATORS, ADDED, strict=True)
@@ -115,9 +114,9 @@ def _added(title: str, rows: Sequence[StudyRow], comparisons: Comparisons) -> li
     ]
 
 
-def _achieved(rows: Sequence[StudyRow]) -> list[TextTable]:
+def _achieved(rows: Sequence[Row]) -> list[TextTable]:
     """Achievements of all adversaries together, and of each one."""
-    series = list(dict.fromkeys(each for row in rows for each in row.estimates if each.estimator == ACHIEVED))
+    series = list(dict.fromkeys(each for row in rows for each in row.numbers if each.estimator == ACHIEVED))
     names = list(dict.fromkeys(each.metric for each in series))
     all_adversaries = [each.owner for each in series if each.owner == _ALL][:1]
     single_adversaries = list(dict.fromkeys(each.owner for each in series if each.owner != _ALL))
@@ -129,47 +128,39 @@ def _achieved(rows: Sequence[StudyRow]) -> list[TextTable]:
         ("What each adversary achieved", single_adversaries),
     ):
         lines = [
-            [row.label if owner == _ALL else f"{row.label}: {owner}", *cells]
+            [row.configuration if owner == _ALL else f"{row.configuration}: {owner}", *cells]
             for row in rows
             for owner in group
-            if {*(cells := [_over_trials(row.get(name, ACHIEVED, owner)) for name in names])} != {DASH}
+            if {*(cells := [_over_trials(row.get(StudySeries(owner, ACHIEVED, name))) for name in names])} != {DASH}
         ]
         terminal = group is all_adversaries or not all_adversaries
         tables.append(TextTable(title, caption, headings, lines, 1, terminal=terminal))
     return tables
 
 
-def _others(rows: Sequence[StudyRow]) -> TextTable:
+def _others(rows: Sequence[Row], units: Mapping[str, str]) -> TextTable:
     """Other numbers of the ego, such as user-defined metrics, a line each."""
-    table_series = {(column.estimator, column.metric) for column in columns_of((*ALL_SCORES, *ADDED, *PAPER))}
+    in_tables = {(each.estimator, each.metric) for each in series_of((*ALL_SCORES, *ADDED, *PAPER))}
     series = [
         each
-        for each in dict.fromkeys(each for row in rows for each in row.estimates)
-        if each.owner == rows[0].ego and (each.estimator, each.metric) not in table_series and " " not in each.metric
+        for each in dict.fromkeys(each for row in rows for each in row.numbers)
+        if not each.owner and (each.estimator, each.metric) not in in_tables and " " not in each.metric
     ]
-
-    units = _units(rows)
-
-    def cells(each: StudySeries) -> list[str]:
-        return [_over_trials(row.estimates.get(each, Statistic())) for row in rows]
-
     lines = [
-        [f"{each.estimator} {each.metric}{units.get(each.metric, '')}", *cells(each)]
+        [f"{each.estimator} {each.metric}{units.get(each.metric, '')}", *(_over_trials(row.get(each)) for row in rows)]
         for each in series
-        if not (
-            each.metric.endswith("_iob") and all(row.estimates[each].unchanged for row in rows if each in row.estimates)
-        )
+        if not (each.metric.endswith("_iob") and all(row[each].unchanged for row in rows if each in row.numbers))
     ]
     caption = paragraph("other_numbers")
-    if any(row.estimates[each].mostly_zero for row in rows for each in series if each in row.estimates):
+    if any(row.get(each).mostly_zero for row in rows for each in series):
         caption = f"{caption} {MOSTLY_ZERO_NOTE}"
-    headings = ["", *(row.label for row in rows)]
+    headings = ["", *(row.configuration for row in rows)]
     return TextTable("Other numbers of the ego", caption, headings, lines, 1, terminal=False)
 
 
-def _causes(rows: Sequence[StudyRow], estimator: str, outcome: str) -> TextTable:
+def _causes(rows: Sequence[Row], estimator: str, outcome: str) -> TextTable:
     """The causes that occur, with their shares."""
-    parts = {row.label: shares(row, outcome, estimator) for row in rows}
+    parts = {row.configuration: shares(row, outcome, estimator) for row in rows}
     causes = [cause for cause in CAUSES if any(cause in row_shares for row_shares in parts.values())]
     lines = [
         [label, *(f"{100.0 * of_row[cause]:.1f} %" if cause in of_row else DASH for cause in causes)]
@@ -183,13 +174,13 @@ def _over_trials(estimate: Statistic, *, marked: bool = False) -> str:
     return _cell(value(estimate), bounds(estimate), marked=marked)
 
 
-def _cell_of(row: StudyRow, column: StudyColumn) -> str:
-    return _over_trials(column.of(row))
+def _cell_of(row: Row, series: StudySeries) -> str:
+    return _over_trials(row.get(series))
 
 
-def _to_scenes(row: StudyRow, column: StudyColumn) -> str:
+def _to_scenes(row: Row, series: StudySeries) -> str:
     """With the interval to other scenes."""
-    return _cell(value(column.of(row)), bounds(column.of(row), scenes=True))
+    return _cell(value(row.get(series)), bounds(row.get(series), scenes=True))
 
 
 def _cell(text: str, below: str, *, marked: bool = False) -> str:
@@ -201,27 +192,26 @@ def _table(
     title: str,
     caption: str,
     groups: Groups,
-    rows: Iterable[StudyRow],
-    cell: Callable[[StudyRow, StudyColumn], str],
+    rows: Sequence[Row],
+    cell: Callable[[Row, StudySeries], str],
     *,
     terminal: bool = True,
     brief: bool = False,
 ) -> TextTable:
     """A table with a line per configuration, without empty groups."""
-    rows = list(rows)
     groups = present(rows, groups)
-    columns = columns_of(groups)
-    lines = [[row.label, *(cell(row, column) for column in columns)] for row in rows]
-    headings = ["", *(column.heading for column in columns)]
+    columns = series_of(groups)
+    lines = [[row.configuration, *(cell(row, series) for series in columns)] for row in rows]
+    headings = ["", *(heading for _, group_columns in groups for heading in group_columns)]
     of_columns = ["", *(name for name, group_columns in groups for _ in group_columns)]
-    if any(column.of(row).mostly_zero for row in rows for column in columns):
+    if any(row.get(series).mostly_zero for row in rows for series in columns):
         caption = f"{caption} {MOSTLY_ZERO_NOTE}"
     return TextTable(
         title, caption, headings, lines if groups else [], 1, groups=of_columns, terminal=terminal, brief=brief
     )
 
 
-def as_rich(rows: Sequence[StudyRow], facts: StudyFacts) -> Group:
+def as_rich(rows: Sequence[Row], facts: StudyFacts) -> Group:
     """Failures, the result in words, and tables for a terminal of 80 columns."""
     comparisons = compare(rows, facts.baseline)
     parts: list[Text | Group] = [Text("")]
@@ -230,20 +220,20 @@ def as_rich(rows: Sequence[StudyRow], facts: StudyFacts) -> Group:
     titled_rows, titled_facts = titled(rows, facts)
     sentences = _sentences(titled_rows, titled_facts, compare(titled_rows, titled_facts.baseline))
     parts += [_wrapped(sentence) for sentence in (*sentences, *_labels(rows))]
-    for table in sections(rows, facts.baseline, comparisons):
+    for table in sections(rows, facts, comparisons):
         if table.terminal:
             brief = table._replace(title=f"{table.title}, mean", about="") if table.brief else table
             parts += [Text(""), brief.as_rich()]
     return Group(*parts, Text(""), _wrapped(comparisons_made(comparisons)))
 
 
-def _labels(rows: Sequence[StudyRow]) -> list[str]:
+def _labels(rows: Sequence[Row]) -> list[str]:
     """Explains the numbers in the labels of terminal tables."""
     names = dict.fromkeys((row.run, *row.point) for row in rows if row.point)
     return [f"Labels in tables: {'-'.join(parts)}." for parts in names]
 
 
-def _sentences(rows: Sequence[StudyRow], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
+def _sentences(rows: Sequence[Row], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
     """The result in words, a paragraph each."""
     first = [f"{facts.size}.", result(rows, facts, comparisons), *other_changes(rows, facts, comparisons)]
     return [" ".join(first), *reservations(rows, facts)]
@@ -253,7 +243,7 @@ def _wrapped(text: str, style: str = "") -> Text:
     return Text(wrapped(text), style=style)
 
 
-def as_markdown(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
+def as_markdown(rows: Sequence[Row], facts: StudyFacts) -> str:
     """All tables as Markdown, failed trials first; ends with a newline."""
     rows, facts = titled(rows, facts)
     comparisons = compare(rows, facts.baseline)
@@ -262,7 +252,7 @@ def as_markdown(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
         cells = [[f.configuration, f.scene, str(f.seed), f.error, f"`{f.command}`"] for f in facts.failed]
         failed = TextTable("", "", ["", "scene", "seed", "error", "run it alone"], cells, 5)
         sentences = [f"## {facts.failures}", failed.markdown(), *sentences]
-    tables = sections(rows, facts.baseline, comparisons)
+    tables = sections(rows, facts, comparisons)
     return ResultTables(facts.name, "\n\n".join(sentences), facts.size, tables, ((), ()), []).as_markdown()
 
 
@@ -272,7 +262,7 @@ _NUMBERS = {"mean": "mean", "std_over_frames": "std", "mean_over_trials": "value
 }
 
 
-def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
+def as_csv(rows: Sequence[Row], facts: StudyFacts) -> str:
     """A line per configuration and series, with all digits; unknown numbers are empty.
 
     p_holm is p adjusted for all contrasts of the tables (`compare`), and empty for other series.
@@ -284,49 +274,55 @@ def as_csv(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
     headings = ["configuration", *parameters, *series_names, *_NUMBERS, "p_holm", *counts]
     lines = [
         [
-            *(row.label, *(row.point.get(name, "") for name in parameters), *series),
-            *digits(
-                *(getattr(each, field) for field in _NUMBERS.values()), adjusted.get((row.label, series), math.nan)
-            ),
+            *(row.configuration, *(row.of.get(name, "") for name in parameters)),
+            *(series.owner or facts.ego, series.estimator, series.metric),
+            *digits(*(getattr(each, field) for field in _NUMBERS.values())),
+            *digits(adjusted.get((row.configuration, series), math.nan)),
             *(each.scenes, each.seeds, each.seeds_left_out(len(facts.seeds))),
         ]
         for row in rows
-        for series, each in row.estimates.items()
+        for series, each in row.numbers.items()
     ]
     return csv_text(headings, lines)
 
 
-def as_latex(rows: Sequence[StudyRow], facts: StudyFacts) -> str:
+def as_latex(rows: Sequence[Row], facts: StudyFacts) -> str:
     """The paper's increments, then all metrics of each estimate: over frames, and below over trials."""
     rows, facts = titled(rows, facts)
-    attacked = [row for row in rows if row.label != facts.baseline]
+    attacked = [row for row in rows if row.configuration != facts.baseline]
     paper = _paper(difference_title(rows, facts.baseline), attacked, compare(rows, facts.baseline))
     every = [
-        _table(f"{name}: all metrics", _PER_FRAME, ((name, (*scores, *_of_users(rows, scores))),), rows, _both_spreads)
+        _table(
+            f"{name}: all metrics",
+            _PER_FRAME,
+            ((name, {**scores, **_of_users(rows, scores, facts.units)}),),
+            rows,
+            _both_spreads,
+        )
         for name, scores in ALL_SCORES
     ]
     size = "; ".join(filter(None, (facts.size, facts.failures)))
     return ResultTables(facts.name, "", size, [each for each in (paper, *every) if each.lines], ((), ()), []).as_latex()
 
 
-def _both_spreads(row: StudyRow, column: StudyColumn) -> str:
-    return f"{over_frames(column.of(row))}\n{over_trials(column.of(row))}"
+def _both_spreads(row: Row, series: StudySeries) -> str:
+    return f"{over_frames(row.get(series))}\n{over_trials(row.get(series))}"
 
 
-def _of_users(rows: Sequence[StudyRow], scores: Sequence[StudyColumn]) -> list[StudyColumn]:
+def _of_users(
+    rows: Sequence[Row], scores: Mapping[str, StudySeries], units: Mapping[str, str]
+) -> dict[str, StudySeries]:
     """Columns of the metrics of an estimate that are not among its scores: the user's own."""
-    known, estimator = {column.metric for column in scores} | set(SUMMARY_NAMES), scores[0].estimator
-    names = [
-        series.metric
+    estimator = next(iter(scores.values())).estimator
+    known = {series.metric for series in scores.values()} | set(SUMMARY_NAMES)
+    own = dict.fromkeys(
+        series
         for row in rows
-        for series, each in row.estimates.items()
-        if (series.owner, series.estimator) == (row.ego, estimator) and series.metric.isidentifier() and not each.rate
-    ]
-    own = [name for name in dict.fromkeys(names) if name not in known and not name.endswith("_iob")]
-    units = _units(rows)
-    return [StudyColumn(f"{name}{units.get(name, '')}", name, estimator) for name in own]
-
-
-def _units(rows: Sequence[StudyRow]) -> dict[str, str]:
-    """What follows the names of users' metrics: ` (objects)`."""
-    return {name: f" ({about['unit']})" for row in rows for name, about in row.own.items() if about.get("unit")}
+        for series, each in row.numbers.items()
+        if (series.owner, series.estimator) == ("", estimator) and series.metric.isidentifier() and not each.rate
+    )
+    return {
+        f"{series.metric}{units.get(series.metric, '')}": series
+        for series in own
+        if series.metric not in known and not series.metric.endswith("_iob")
+    }

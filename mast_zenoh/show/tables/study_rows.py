@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
 
 from mast_zenoh.metrics.estimates import ESTIMATES, MAIN
 from mast_zenoh.metrics.measures import MEASURES
-from mast_zenoh.metrics.study_results import MIN_SEEDS, Statistic, StudyRow
+from mast_zenoh.metrics.study_results import MIN_SEEDS, Row, Statistic, StudySeries
 from mast_zenoh.run_folder.finding import whole_percent
 from mast_zenoh.show.tables.text_table import DASH, decimals_of, number
 
@@ -19,21 +18,8 @@ MOSTLY_ZERO_NOTE = (
 )
 
 
-class StudyColumn(NamedTuple):
-    """One column of a table: heading and series; owner: None for the ego."""
-
-    heading: str
-    metric: str
-    estimator: str = "picture"
-    owner: str | None = None
-
-    def of(self, row: StudyRow) -> Statistic:
-        """The estimate that belongs in this column of a row."""
-        return row.get(self.metric, self.estimator, self.owner)
-
-
-#: Columns in groups with a name.
-Groups = tuple[tuple[str, tuple[StudyColumn, ...]], ...]
+#: Columns of a table, a measure by heading, in groups with a name.
+Groups = tuple[tuple[str, Mapping[str, StudySeries]], ...]
 
 #: The estimates of the ego that tables compare, and their names.
 ESTIMATORS = {name: ESTIMATES[name].subject.removeprefix("the ") for name in MAIN}
@@ -43,8 +29,8 @@ _DISTANCES = ("ospa_m", "gospa_m", "completeness")
 _BOXES = ("length_error_m", "width_error_m", "heading_error_deg", "velocity_error_mps")
 
 
-def _of(estimator: str, metrics: Iterable[str], suffix: str = "") -> tuple[StudyColumn, ...]:
-    return tuple(StudyColumn(MEASURES[metric].short, metric + suffix, estimator) for metric in metrics)
+def _of(estimator: str, metrics: Iterable[str], suffix: str = "") -> dict[str, StudySeries]:
+    return {MEASURES[metric].short: StudySeries("", estimator, metric + suffix) for metric in metrics}
 
 
 #: The scores of each estimate, and their increments over the baseline.
@@ -55,9 +41,9 @@ ALL_SCORES: Groups = tuple(
 ADDED: Groups = tuple((name, _of(estimator, _SCORES + _BOXES, "_iob")) for estimator, name in ESTIMATORS.items())
 
 
-def _of_all(estimator: str, columns: Mapping[str, str], *, owner: str | None = "all") -> tuple[StudyColumn, ...]:
-    """Columns of metrics by heading, of all agents or adversaries together."""
-    return tuple(StudyColumn(heading, metric, estimator, owner) for heading, metric in columns.items())
+def _of_all(estimator: str, columns: Mapping[str, str], owner: str = "all") -> dict[str, StudySeries]:
+    """Metrics by heading, of all agents or adversaries together."""
+    return {heading: StudySeries(owner, estimator, metric) for heading, metric in columns.items()}
 
 
 _COMPROMISED = (
@@ -67,11 +53,11 @@ _COMPROMISED = (
 #: The increments by their names in the paper.
 PAPER: Groups = (
     *(
-        (name, _of_all(estimator, {fn: "cafn_iob", fp: "cafp_iob"}, owner="compromised"))
+        (name, _of_all(estimator, {fn: "cafn_iob", fp: "cafp_iob"}, "compromised"))
         for estimator, name, fn, fp in _COMPROMISED
     ),
     *(
-        (f"ERCC {name}", _of_all("picture", {f"{name} IoB": f"{key}_iob", f"{name} IoE": f"{key}_ioe"}, owner=None))
+        (f"ERCC {name}", _of_all("picture", {f"{name} IoB": f"{key}_iob", f"{name} IoE": f"{key}_ioe"}, ""))
         for name, key in (("FN", "fn"), ("FP", "fp"), ("TP", "tp"))
     ),
 )
@@ -106,29 +92,31 @@ ACHIEVED = "achieved"
 DRIVEN = "driven"
 
 
-def attacks_differ(rows: Iterable[StudyRow], baseline: str) -> bool:
+def attacks_differ(rows: Iterable[Row], baseline: str) -> bool:
     """Whether all configurations but the baseline have adversaries, so that differences are what attacks add."""
-    has_attack = {row.label: any(each.estimator == ACHIEVED for each in row.estimates) for row in rows if row.estimates}
+    has_attack = {
+        row.configuration: any(each.estimator == ACHIEVED for each in row.numbers) for row in rows if row.numbers
+    }
     return not has_attack.pop(baseline, False) and bool(has_attack) and all(has_attack.values())
 
 
-def columns_of(groups: Groups) -> list[StudyColumn]:
-    """All columns of the groups, one after the other."""
-    return [column for _, columns in groups for column in columns]
+def series_of(groups: Groups) -> list[StudySeries]:
+    """The measures of all columns of the groups, one after the other."""
+    return [series for _, columns in groups for series in columns.values()]
 
 
-def unchanged(rows: Iterable[StudyRow], columns: Sequence[StudyColumn]) -> bool:
+def unchanged(rows: Iterable[Row], columns: Mapping[str, StudySeries]) -> bool:
     """Whether all increments that are known are 0 in every trial."""
-    known = [each for row in rows for column in columns if not math.isnan((each := column.of(row)).value)]
+    known = [each for row in rows for series in columns.values() if (each := row.get(series)).known]
     return bool(known) and all(each.unchanged for each in known)
 
 
-def present(rows: Sequence[StudyRow], groups: Groups) -> Groups:
+def present(rows: Sequence[Row], groups: Groups) -> Groups:
     """The groups in which any row has a number."""
     return tuple(
-        (name, columns)
-        for name, columns in groups
-        if any(not math.isnan(column.of(row).mean) for row in rows for column in columns)
+        group
+        for group in groups
+        if any(not math.isnan(row.get(series).mean) for row in rows for series in series_of((group,)))
     )
 
 

@@ -315,7 +315,7 @@ def bounds(each: Statistic) -> list[str]:
 
 def shown(measure: str, show: Callable[[Statistic], str] = measured) -> Callable[[Row], str]:
     """The text of a measure of a row, also of one that lacks it."""
-    return lambda row: show(row.numbers.get(measure, Statistic()))
+    return lambda row: show(row.get(measure))
 
 
 def table_of_rows(

@@ -8,7 +8,6 @@
     matrix_trial    what a matrix needs of one trial
     matrix_table    what a matrix is; matrix_tables, scoreboard (also published figures) and
                     matrix_figures show it
-    intervals  95 % intervals over trials, and times until detection
 
 See docs/defence_studies.md.
 """

@@ -26,9 +26,9 @@ from mast_zenoh.show.tables.text_table import (
     table_of_rows,
 )
 from mast_zenoh.study.choices import honest_majority
-from mast_zenoh.study.defences.intervals import pooled, share_of_trials
 from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.numbers import ego, scored_frames
+from mast_zenoh.study.statistics import pooled, share_of_trials
 from mast_zenoh.study.trial import TrialOutcome
 
 if TYPE_CHECKING:

@@ -38,8 +38,8 @@ from mast_zenoh.show.tables.text_table import (
     table_of_rows,
     whole,
 )
-from mast_zenoh.study.defences.intervals import kaplan_meier, pooled, share_of_trials
 from mast_zenoh.study.defences.kinds import Factors, Kind, few_trials
+from mast_zenoh.study.statistics import kaplan_meier, pooled, share_of_trials
 from mast_zenoh.study.trial import TrialOutcome
 
 if TYPE_CHECKING:

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from mast_zenoh.errors import plural
 from mast_zenoh.metrics.estimates import MISSION
-from mast_zenoh.metrics.study_results import NEGLIGIBLE, Row, Statistic, clearest, plural
+from mast_zenoh.metrics.study_results import NEGLIGIBLE, Row, Statistic, clearest
 from mast_zenoh.show.findings.words import of_study, paragraph
 from mast_zenoh.show.tables.study_rows import over_trials
 from mast_zenoh.show.tables.text_table import (
@@ -26,7 +27,7 @@ from mast_zenoh.show.tables.text_table import (
     shown,
     table_of_rows,
 )
-from mast_zenoh.study.defences import intervals
+from mast_zenoh.study import statistics
 from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.numbers import own_metrics
 from mast_zenoh.study.trial import TrialOutcome
@@ -162,8 +163,8 @@ class DrivingMatrix(Kind):
             for name, each in pairs.items()
         ]
         happened, known = np.any(differs, axis=0), ~np.isnan(pairs["collisions"])
-        units = [int(intervals.units(each, len(self.scenes)).any(axis=0).sum()) for each in (happened, known)]
-        return intervals.share_of_trials(*units)._replace(value=float(happened.sum()), trials=int(known.sum()))
+        units = [int(statistics.units(each, len(self.scenes)).any(axis=0).sum()) for each in (happened, known)]
+        return statistics.share_of_trials(*units)._replace(value=float(happened.sum()), trials=int(known.sum()))
 
     def tables(self, table: Sequence[DrivingRow]) -> ResultTables:
         """The CSV has a row for each attack, defence, kind of number and measure."""

@@ -13,8 +13,9 @@ import numpy as np
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.show.tables.text_table import ResultTables
+from mast_zenoh.study import statistics
 from mast_zenoh.study.choices import SCENE_KINDS, UNDEFENDED
-from mast_zenoh.study.defences import breakdown, intervals, matrix
+from mast_zenoh.study.defences import breakdown, matrix
 from mast_zenoh.study.defences.breakdown import HALF, honest_first, mean_crossing, measures_of_breaking
 from mast_zenoh.study.defences.kinds import Factors
 from mast_zenoh.study.defences.matrix import alone, is_fault, lies, undefended
@@ -98,14 +99,14 @@ class FieldMatrix(matrix.DefenceMatrix):
         compared = factors, alone(factors), undefended(factors)
         damages = [self._in_scene(self.damage(each), scene) for each in compared]
         differences = (damages[0], damages[0] - damages[1], damages[0] - damages[2])
-        damage, by_attack, harm = (intervals.mean(each, scenes=scenes, paired=True) for each in differences)
+        damage, by_attack, harm = (statistics.mean(each, scenes=scenes, paired=True) for each in differences)
         numbers = {
             "damage": damage,
             "by_attack": by_attack,
             "harm": harm,
             "attacked": matrix.attacked_share(groups) if lies(factors) else Statistic(),
             "honest_suspended": matrix.shares_of_runs(groups)["honest_suspended"],
-            "cpu_ms": intervals.mean(cpu_ms, scenes=scenes),
+            "cpu_ms": statistics.mean(cpu_ms, scenes=scenes),
             "cpu_ratio": ratio(cpu_ms, self._in_scene(self._processor(undefended(factors)), scene), scenes=scenes),
         }
         of = {name: factors[name] for name in ("defence", "attack", "n_adversaries", "placement")}
@@ -142,14 +143,14 @@ class FieldMatrix(matrix.DefenceMatrix):
         reached = {attack: point for attack, point in points.items() if math.isfinite(point)}
         most_broken = {attack: np.nanmax(_mean_known(shares[attack])) for attack in reached}
         weakest = min(reached, key=lambda attack: (reached[attack], -most_broken[attack]), default="")
-        point = intervals.pooled(lambda rows: _crossing(counts, every[rows]), len(keys))
+        point = statistics.pooled(lambda rows: _crossing(counts, every[rows]), len(keys))
         if _is_single(counts):
             point = Statistic(point.value, trials=point.trials)
         scenes = 1 if scene else len(self.scenes)
         sizes = {self._agents[key.scene] for key in keys if key.scene in self._agents}
         agents = sizes.pop() if len(sizes) == 1 else 0
         numbers = {
-            f"broken {count}": intervals.mean(every[:, index], (0.0, 1.0), scenes=scenes)
+            f"broken {count}": statistics.mean(every[:, index], (0.0, 1.0), scenes=scenes)
             for index, count in enumerate(counts)
         }
         numbers |= {"breaks_at": point, "weakest_at": Statistic(reached.get(weakest, math.inf))}
@@ -191,7 +192,7 @@ class FieldMatrix(matrix.DefenceMatrix):
             with_defence, without = sums[:, rows].sum(axis=1)
             return 1.0 - float(with_defence / without) if without > 0.0 else math.nan
 
-        return intervals.pooled(removed, sums.shape[1])
+        return statistics.pooled(removed, sums.shape[1])
 
     def _published(self) -> Iterator[tuple[Published, list[Row]]]:
         """The published methods that this study played, with ours."""
@@ -255,7 +256,7 @@ def ratio(values: Floats, references: Floats, *, scenes: int = 1) -> Statistic:
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         logarithms = np.log(np.atleast_2d(values)) - np.log(np.atleast_2d(references))
-    measured = intervals.mean(_mean_known(logarithms), scenes=scenes)
+    measured = statistics.mean(_mean_known(logarithms), scenes=scenes)
     value, low, high = (math.exp(each) for each in measured[:3])
     return measured._replace(value=value, low=low, high=high)
 
@@ -263,7 +264,7 @@ def ratio(values: Floats, references: Floats, *, scenes: int = 1) -> Statistic:
 def _liars_suspended(groups: matrix.Groups) -> Statistic:
     """The share of agents with an observable lie that were suspended, of those that were judged."""
     delays = [[suspended for each in group for _, suspended in each["delays"]] for group in groups]
-    return intervals.share([sum(each) for each in delays], [len(each) for each in delays])
+    return statistics.share([sum(each) for each in delays], [len(each) for each in delays])
 
 
 def _mean_known(values: Floats) -> Floats:

@@ -7,21 +7,24 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.config import loading
+from mast_zenoh.errors import ConfigurationError, Interrupted, MastError, is_disk_full, is_out_of_resources, place_of
 from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Statistic, size_of
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.show.tables.text_table import FEW_TRIALS, ResultTables
-from mast_zenoh.study.defences import intervals
+from mast_zenoh.study import statistics
 from mast_zenoh.study.trial import TrialKey, TrialOutcome
 
 if TYPE_CHECKING:
@@ -29,6 +32,9 @@ if TYPE_CHECKING:
 
     from mast_zenoh.runs.run import Run
     from mast_zenoh.show.figures.drawing import RenderedFigure
+
+
+Expected = TypeVar("Expected")
 
 
 class Factors(dict[str, Any]):
@@ -46,13 +52,16 @@ class Factors(dict[str, Any]):
 class StudyFiles:
     """What a kind of study, or a search, wrote: tables and figures for the page, and names of files.
 
-    on_page: whether the tables are on the page, too
+    tables:   None: they are left out
+    on_page:  whether the tables are on the page, too
+    left_out: why other results are not there
     """
 
-    tables: ResultTables
+    tables: ResultTables | None
     figures: Mapping[str, RenderedFigure]
     names: Sequence[str]
     on_page: bool = True
+    left_out: Sequence[str] = ()
 
 
 class Kind(ABC):
@@ -78,6 +87,10 @@ class Kind(ABC):
         #: the trials planned for every configuration, with their place in the order of the study
         self.order = {TrialKey(scene, seed): index for index, (scene, seed) in enumerate(product(scenes, seeds))}
         self._factors = dict(factors)
+        #: why results cannot be made, with the number of trials or parts that fail so
+        self._problems: Counter[str] = Counter()
+        #: those of them that are wrong arguments
+        self._wrong: list[str] = []
 
     @staticmethod
     def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
@@ -108,10 +121,11 @@ class Kind(ABC):
         return {}
 
     def add(self, outcome: TrialOutcome) -> Mapping[str, Any]:
-        """Add a finished trial; returns its measures."""
+        """Add a finished trial; returns its measures, {} if they fail."""
         factors = self._factors[outcome.trial.configuration]
-        measures = self.trials[factors][outcome.trial.key] = self.measures(factors, outcome)
-        return measures
+        with self._attempted("measures"):
+            self.trials[factors][outcome.trial.key] = self.measures(factors, outcome)
+        return self.trials[factors].get(outcome.trial.key, {})
 
     def values(self, factors: Factors, name: str) -> Floats:
         """(trials,) a number of each trial planned for a configuration, in the order of the study; NaN: it has none."""
@@ -121,8 +135,8 @@ class Kind(ABC):
     def mean(
         self, values: ArrayLike, bounds: tuple[float, float] = (-math.inf, math.inf), *, paired: bool = False
     ) -> Statistic:
-        """The mean over the trials planned for a configuration (n,), in the study's order; see `intervals.mean`."""
-        return intervals.mean(values, bounds, scenes=len(self.scenes), paired=paired)
+        """The mean over the trials planned for a configuration (n,), in the study's order; see `statistics.mean`."""
+        return statistics.mean(values, bounds, scenes=len(self.scenes), paired=paired)
 
     @property
     def own(self) -> list[str]:
@@ -135,16 +149,68 @@ class Kind(ABC):
         return list(dict.fromkeys(factors.get(name) for factors in self.trials))
 
     def write(self, folder: Path) -> StudyFiles:
-        """Write tables and figures into the study's folder, and remove figures that it does not have any more."""
-        table = self.table()
-        tables, figures = self.tables(table), self.figures(table)
-        texts = tables.texts(self.name)
-        for name, more in self.more_tables(table).items():
-            texts |= more.texts(name)
+        """Write tables and figures into the study's folder, and remove figures that it does not have any more.
+
+        Those that fail are left out.
+        """
+        tables, texts, figures = self._results()
         for name in {*self.drawn} - {*figures}:
             for suffix in ("png", "pdf"):
                 (folder / f"{name}.{suffix}").unlink(missing_ok=True)
-        return StudyFiles(tables, figures, write_files(folder, texts, figures))
+        left_out = [f"{each} (trials: {count})" if count > 1 else each for each, count in self._problems.items()]
+        return StudyFiles(tables, figures, write_files(folder, texts, figures), left_out=left_out)
+
+    def _results(self) -> tuple[ResultTables | None, dict[str, str], dict[str, RenderedFigure]]:
+        """The tables, the contents of all files of tables, and the figures, without those that fail."""
+        from mast_zenoh.show.figures.drawing import RenderedFigure  # drawing libraries are slow to load
+
+        tables: ResultTables | None = None
+        texts: dict[str, str] = {}
+        figures: dict[str, RenderedFigure] = {}
+        with self._attempted("table"):
+            table = self.table()
+            with self._attempted("tables"):
+                made = _expected(self.tables(table), ResultTables, "ResultTables(...)")
+                texts, tables = made.texts(self.name), made
+            with self._attempted("more_tables"):
+                for name, more in self.more_tables(table).items():
+                    texts |= _expected(more, ResultTables, "ResultTables(...)").texts(name)
+            with self._attempted("figures"):
+                for name, figure in _expected(self.figures(table), dict, "a dict").items():
+                    figures[name] = _expected(figure, RenderedFigure, "what render(...) returns")
+        return tables, texts, figures
+
+    @contextmanager
+    def _attempted(self, part: str) -> Iterator[None]:
+        """Note the error of a part, a method of the kind, with its file and line."""
+        try:
+            yield
+        except Exception as error:
+            if isinstance(error, Interrupted) or is_out_of_resources(error) or is_disk_full(error):
+                raise
+            classes = [cls for cls in type(self).__mro__ if issubclass(cls, Kind) and cls is not Kind]
+            place = place_of(error, {cls.__module__ for cls in classes})
+            code = getattr(type(self), part).__code__
+            text = str(error) if isinstance(error, MastError) else f"{type(error).__name__}: {error}"
+            problem = f"{place or f'{code.co_filename}:{code.co_firstlineno}'}: {part}: {text}"
+            self._problems[problem] += 1
+            if isinstance(error, ConfigurationError):
+                self._wrong.append(problem)
+
+    def rehearse(self, outcome: TrialOutcome | None = None) -> list[str]:
+        """Make all results of a trial, None: of no trial, and write none; returns why some would be left out.
+
+        Raises ConfigurationError for what fails with more trials, too: measures of a trial, and wrong arguments.
+        """
+        if outcome is not None:
+            self.add(outcome)
+        wrong = [*self._problems]
+        if not wrong:
+            self._results()
+            wrong = self._wrong
+        if wrong:
+            raise ConfigurationError("\n".join(wrong))
+        return [*self._problems]
 
 
 def few_trials(numbers: Iterable[Statistic]) -> str:
@@ -160,6 +226,13 @@ def write_files(folder: Path, texts: Mapping[str, str], figures: Mapping[str, Re
     for figure in figures.values():
         figure.save(folder)
     return [*texts, *(name for figure in figures.values() for name in figure.names)]
+
+
+def _expected(value: Any, kind: type[Expected], what: str) -> Expected:
+    """The value; raises ConfigurationError if it is of another type. what: is expected"""
+    if not isinstance(value, kind):
+        raise ConfigurationError(f"found {value!r:.120}, expected {what}")
+    return value
 
 
 def name_of_kind(kind: type[Kind]) -> str:

@@ -1,7 +1,7 @@
 """Every defence against every adversary: what each defence is worth.
 
 Measures of trials are put together in groups: a group has those of one pair of scene and seed, one for a cell, several
-for a defence. Groups are the trials of `intervals`: runs of the same scene and seed are not independent.
+for a defence. Groups are the trials of `study.statistics`: runs of the same scene and seed are not independent.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.metrics.study_results import AgentTrustSeries, Row, Statistic, Survival, TrustPanel
-from mast_zenoh.metrics.trust import Roc, auc, partial_auc, roc
+from mast_zenoh.metrics.study_results import Row, Statistic
+from mast_zenoh.metrics.trust import AgentTrustSeries, Roc, TrustPanel, auc, partial_auc, roc
 from mast_zenoh.show.tables.text_table import ResultTables
+from mast_zenoh.study import statistics
 from mast_zenoh.study.choices import PREFIX, UNDEFENDED
-from mast_zenoh.study.defences import intervals
-from mast_zenoh.study.defences.intervals import kaplan_meier
 from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.defences.matrix_table import DEFENCE_MEASURES, MatrixTable
 from mast_zenoh.study.defences.matrix_tables import matrix_tables
 from mast_zenoh.study.numbers import ego, own_metrics
+from mast_zenoh.study.statistics import Survival, kaplan_meier
 from mast_zenoh.study.trial import TrialKey, TrialOutcome
 
 if TYPE_CHECKING:
@@ -294,8 +294,8 @@ class DefenceMatrix(Kind):
         attacked = [factors for factors in cells if lies(factors) and factors["defence"] != UNDEFENDED]
         if not attacked:
             return Statistic()
-        return intervals.one_minus(
-            intervals.share(*self.paired_sums(attacked, lambda each: self.values(each, "fp_identifiable")))
+        return statistics.one_minus(
+            statistics.share(*self.paired_sums(attacked, lambda each: self.values(each, "fp_identifiable")))
         )
 
     def paired_sums(self, cells: Sequence[Factors], values: Callable[[Factors], Floats]) -> Floats:
@@ -353,7 +353,7 @@ def _known(value: float | None) -> float:
 
 def lies_detected(groups: Groups) -> Statistic:
     """The share of observable lies that were detected."""
-    return intervals.share(*(_sums(groups, name) for name in ("detected", "observable")))
+    return statistics.share(*(_sums(groups, name) for name in ("detected", "observable")))
 
 
 def _sums(groups: Groups, name: str) -> list[float]:
@@ -369,7 +369,7 @@ def median_delay(groups: Groups) -> Statistic:
         value = kaplan_meier(drawn[:, 0], drawn[:, 1]).median_s
         return math.inf if math.isnan(value) else value
 
-    measured = intervals.pooled(median, len(delays))
+    measured = statistics.pooled(median, len(delays))
     return measured._replace(value=math.nan) if math.isinf(measured.value) else measured
 
 
@@ -382,19 +382,19 @@ def delay_curve(groups: Groups) -> Survival | None:
 def alarms_per_hour(groups: Groups, name: str = "alarms") -> Statistic:
     """Suspensions of honest agents, or of faulty ones (`fault_alarms`)."""
     judged = [each for group in groups for each in group if each["hours"]]
-    return intervals.rate(sum(each[name] for each in judged), sum(each["hours"] for each in judged), len(judged))
+    return statistics.rate(sum(each[name] for each in judged), sum(each["hours"] for each in judged), len(judged))
 
 
 def attacked_share(groups: Groups) -> Statistic:
     """The share of runs in which adversaries lied, which some never do."""
-    return intervals.share_of_runs([[each["attacked"] for each in group] for group in groups])
+    return statistics.share_of_runs([[each["attacked"] for each in group] for group in groups])
 
 
 def shares_of_runs(groups: Groups) -> dict[str, Statistic]:
     """The share of runs in which something happened, of those in which it can happen: with lies or without."""
 
     def share(happened: str, counts: Callable[[Mapping[str, Any]], bool]) -> Statistic:
-        return intervals.share_of_runs(
+        return statistics.share_of_runs(
             [[each[happened] > 0 for each in group if each["hours"] and counts(each)] for group in groups]
         )
 
@@ -416,7 +416,7 @@ def state_shares(groups: Groups) -> dict[str, dict[str, Statistic]]:
         sums = {state: np.array([sum(each.get(state, 0.0) for each in group) for group in seconds]) for state in states}
         whole = np.sum(list(sums.values()), axis=0)
         if whole.any():
-            shares[conduct] = {state: intervals.share(part, whole) for state, part in sums.items()}
+            shares[conduct] = {state: statistics.share(part, whole) for state, part in sums.items()}
     return shares
 
 
@@ -439,9 +439,9 @@ def characteristic(groups: Groups) -> tuple[Roc, dict[str, Statistic]] | None:
         drawn = np.concatenate([parts[row] for row in rows.tolist()])
         return partial_auc(drawn[:, 0], drawn[:, 1], float(hours[rows].sum()), ALARMS_PER_HOUR)
 
-    whole = intervals.pooled(area, len(parts))
+    whole = statistics.pooled(area, len(parts))
     enough = hours.sum() * ALARMS_PER_HOUR >= 1.0  # a single alarm in less is more than that
-    below = intervals.pooled(partial, len(parts)) if enough else Statistic()
+    below = statistics.pooled(partial, len(parts)) if enough else Statistic()
     numbers = {"auc": whole, "partial_auc": below, "hours": Statistic(float(hours.sum()), trials=len(parts))}
     return roc(pairs[:, 0], pairs[:, 1]), numbers
 

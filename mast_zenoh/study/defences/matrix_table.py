@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from mast_zenoh.metrics.study_results import Row, Survival, TrustPanel
-from mast_zenoh.metrics.trust import Roc
+from mast_zenoh.metrics.study_results import Row
+from mast_zenoh.metrics.trust import Roc, TrustPanel
+from mast_zenoh.study.statistics import Survival
 
 #: Measures of a cell, and their headings. Objects are counted per frame in the ego's picture.
 DEFENCE_MEASURES = {

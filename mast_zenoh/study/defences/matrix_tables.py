@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from mast_zenoh.metrics.study_results import Row, Statistic, clearest, plural
+from mast_zenoh.errors import plural
+from mast_zenoh.metrics.study_results import Row, Statistic, clearest
 from mast_zenoh.show.findings.words import paragraph
 from mast_zenoh.show.tables.text_table import (
     DASH,

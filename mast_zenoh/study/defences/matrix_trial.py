@@ -13,7 +13,7 @@ from mast_zenoh.arrays.states import Bools
 from mast_zenoh.config.resolved import RECORDING
 from mast_zenoh.errors import RunFolderError
 from mast_zenoh.metrics.assignment import Places, nearest
-from mast_zenoh.metrics.study_results import AgentTrustSeries, Spans
+from mast_zenoh.metrics.trust import AgentTrustSeries, Spans
 from mast_zenoh.run_folder.tables import from_arrow
 from mast_zenoh.runs.events import trust_in_agents
 from mast_zenoh.runs.observability import observability

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import optuna
 
-from mast_zenoh.metrics.study_results import Row, Statistic, plural
+from mast_zenoh.errors import plural
+from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.study import numbers, statistics
 from mast_zenoh.study.definition import Study
 from mast_zenoh.study.numbers import NAN, ego

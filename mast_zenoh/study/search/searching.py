@@ -86,7 +86,9 @@ def run(
         from mast_zenoh.study.search import report  # drawing libraries are slow to load
 
         own = report.write(store.folder, found)
-        return tables.write(study, store, held_out, search.failures, own)
+        finished = tables.write(study, store, held_out, search.failures, own)
+        search.left_out = finished.facts.left_out
+        return finished
 
 
 class Search:
@@ -94,6 +96,7 @@ class Search:
 
     study:    gets the configuration that is found;  progress, workers: to be entered while trials are run
     planned, failures: for study.json: the trials up to now, and by digest the errors of those that failed
+    left_out: for study.json: why results are not there
     values:   by label of configuration, the objective's mean on the search's seeds
     """
 
@@ -106,13 +109,14 @@ class Search:
         self.progress, self.workers = trials.progress_bars(console), ExitStack()
         self.planned: list[Trial] = []
         self.failures: dict[str, str] = {}
+        self.left_out: Sequence[str] = ()
         self.values: dict[str, float] = {}
         self._store, self._jobs, self._allow_failures = store, workers, allow_failures
         self._baseline: dict[TrialKey, TrialOutcome] = {}
 
     def write_status(self, status: str) -> None:
         """Write study.json."""
-        self._store.write_status(self.study, self.planned, self.failures, status)
+        self._store.write_status(self.study, self.planned, self.failures, status, self.left_out)
 
     def find(self) -> optuna.Study:
         """All candidates with their values; the best one becomes a configuration of the study."""

@@ -254,6 +254,7 @@ def test_a_file_joins_the_matrix(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", [DefenceMatrix, Drift, Breakdown, FieldMatrix, Cooperation, DrivingMatrix])
 def test_every_kind_writes_its_tables_even_of_no_trial(kind: type[Kind], tmp_path: Path) -> None:
     files = kind({}, ["junction"], [0]).write(tmp_path)
+    assert not files.left_out
     assert {*files.names} == {path.name for path in tmp_path.iterdir()}
     assert {Path(name).suffix for name in files.names} >= {".md", ".csv", ".tex"}
     assert kind.without_lies is None or kind.without_lies["lies"]["all"] == 0
@@ -263,18 +264,37 @@ def test_every_kind_writes_its_tables_even_of_no_trial(kind: type[Kind], tmp_pat
 def test_a_users_own_kind_is_one_file_that_workers_find_by_its_name(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(KIND)
     study = definition.load(str(tmp_path / "mine.py"))
-    assert kind_of(study.evaluation).__name__ == "Misses"
-    first = trials.plan(study.chosen(seed=0, frames=5, runtime="inproc"), count=1)
+    assert kind_of(name_of_kind(study.kind)).__name__ == "Misses"  # type: ignore[arg-type]
     finished = mast.study(tmp_path / "mine.py", jobs=1, out=tmp_path / "study")
     assert (finished.path / "misses.md").read_text().splitlines()[-1].startswith("| 2 | ")
     assert "1,fn," in (finished.path / "misses.csv").read_text()
     assert "Misses" in (finished.path / "report.html").read_text()
     rows = [row for row in finished.results.to_pylist() if row["estimator"] == "misses"]
     assert [(row["poles"], row["who"], row["metric"]) for row in rows] == [(1, "all", "fn"), (2, "all", "fn")]
-    (tmp_path / "mine.py").write_text(KIND.replace('Misses"', 'Missed"'))
-    trial.files_key.cache_clear()  # as in a new process
-    again = trials.plan(definition.load(str(tmp_path / "mine.py")).chosen(seed=0, frames=5, runtime="inproc"), count=1)
-    assert first[0].digest != again[0].digest, "a changed file is another trial"
+
+
+def digests_of(content: str, folder: Path) -> list[str]:
+    """Those of the trials of a study file, as in a new process."""
+    (folder / "mine.py").write_text(content)
+    trial.files_key.cache_clear()
+    study = definition.load(str(folder / "mine.py"))
+    return [each.digest for each in trials.plan(study.chosen(seed=0, frames=5, runtime="inproc"), count=1)]
+
+
+def test_only_what_changes_the_outcomes_of_trials_repeats_them(tmp_path: Path) -> None:
+    evaluates = KIND.replace(
+        "    def measures", "    def evaluate(run, compromised):\n        return {}\n\n    def measures"
+    )
+    changed = ('Misses"', 'Missed"')  # of a table
+    of_own = "from mast_zenoh.scenario import load\n\ndef scenario(scene='intersection:4', n_infrastructure=1):\n"
+    of_own += "    return load('baseline', [f'scene={scene}', f'n_infrastructure={n_infrastructure}'])[1]\n"
+    (tmp_path / "own.py").write_text(of_own)
+    in_folder = KIND.replace('scenario="baseline"', 'scenario="own.py"')
+    for content in (KIND, in_folder):
+        assert digests_of(content, tmp_path) == digests_of(content.replace(*changed), tmp_path)
+    assert digests_of(evaluates, tmp_path) != digests_of(evaluates.replace(*changed), tmp_path), "it may use all of it"
+    (tmp_path / "own.py").write_text(f"import mine\n{of_own}")
+    assert digests_of(in_folder, tmp_path) != digests_of(in_folder.replace(*changed), tmp_path), "a scenario imports it"
 
 
 def test_configurations_of_a_kind_have_factors_that_differ(tmp_path: Path) -> None:
@@ -306,3 +326,72 @@ def test_a_small_study_is_carried_out_and_resumed(tmp_path: Path) -> None:
     mast.study("defences", **options, **chosen, resume=True)  # type: ignore[arg-type]
     assert (finished.path / "defences.csv").read_bytes() == before
     assert {path: path.stat().st_mtime_ns for path in (finished.path / "trials").iterdir()} == stored
+
+
+#: A figure of the kind above.
+FIGURE = """
+    def figures(self, table):
+        from mast_zenoh.show.figures.drawing import render
+        from mast_zenoh.show.figures.facets import Axis, facet
+
+        figure = facet(table, "poles", [Axis("fn", "missed objects per frame")], "poles")
+        return {self.name: render(self.name, figure, "Missed objects.", "By number of poles.")}
+
+def study():"""
+
+
+def own_kind(folder: Path, old: str = "", new: str = "") -> Path:
+    """A study file with a kind of its own and a figure, with a change."""
+    assert not old or old in KIND.replace("\ndef study():", FIGURE)
+    (folder / "mine.py").write_text(KIND.replace("\ndef study():", FIGURE).replace(old, new))
+    return folder / "mine.py"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('[Axis("fn", "missed objects per frame")]', '"fn"', r"mine\.py:25: figures: facet: y: found 'fn', expected a"),
+        ('Axis("fn",', 'Axis("fm",', "figures: facet: y: found 'fm'; did you mean 'fn'"),
+        ('facet(table, "poles"', 'facet(table, "pole"', "figures: facet: x: found 'pole'; did you mean 'poles'"),
+        (
+            "{self.name: render",
+            "{self.name: figure, 'other': render",
+            r"mine\.py:21: figures: found .*expected what rend",
+        ),
+        ('name = "misses"', "", "mine.py: kind: Misses has no name"),
+        ("def table(", "def tabel(", "mine.py: kind: Misses has no table"),
+    ],
+)
+def test_a_wrong_argument_of_a_figure_is_refused_before_the_first_trial(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: str, new: str, message: str
+) -> None:
+    monkeypatch.setattr(execution, "run", lambda _: pytest.fail("a trial was run"))
+    with pytest.raises(ConfigurationError, match=message):
+        mast.study(own_kind(tmp_path, old, new), jobs=1, out=tmp_path / "study")
+    assert not (tmp_path / "study").exists()
+
+
+def test_measures_that_fail_end_a_study_after_its_first_trial(tmp_path: Path) -> None:
+    file = own_kind(tmp_path, '["fn"]["mean"]', '["missing"]["mean"]')
+    with pytest.raises(ConfigurationError, match=r"mine\.py:12: measures: KeyError: 'missing'"):
+        mast.study(file, jobs=1, out=tmp_path / "study")
+    assert len(list((tmp_path / "study" / "trials").iterdir())) == 1
+
+
+@pytest.mark.parametrize("part", ["figures", "tables"])
+def test_a_figure_or_table_that_fails_is_left_out_with_the_reason_and_the_study_is_kept(
+    tmp_path: Path, part: str
+) -> None:
+    begins, kept = f"    def {part}(self, table):\n", part == "figures"
+    own_kind(tmp_path, begins, f"{begins}        if any(row['fn'].known for row in table): [][0]\n")
+    reason = f"{tmp_path / 'mine.py'}:{{}}: {part}: IndexError: list index out of range".format(22 if kept else 18)
+    with pytest.raises(ConfigurationError, match=r"left out of the results.*--resume") as caught:
+        mast.study(tmp_path / "mine.py", jobs=1, out=tmp_path / "study")
+    assert reason in str(caught.value)
+    folder = tmp_path / "study"
+    stored = json.loads((folder / "study.json").read_text())
+    assert (stored["status"], stored["left_out"]) == ("failed", [reason])
+    for name in ("report.html", "table.md"):
+        assert "Left out of the results" in (folder / name).read_text()
+        assert "IndexError" in (folder / name).read_text()
+    assert ((folder / "misses.md").exists(), (folder / "misses.png").exists()) == (kept, not kept)

@@ -8,20 +8,19 @@ import numpy as np
 import pytest
 
 from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, MOSTLY_ZERO, STUDENT, Statistic
-from mast_zenoh.study.defences import intervals
-from mast_zenoh.study.defences.intervals import kaplan_meier
-from mast_zenoh.study.statistics import trial_estimate
+from mast_zenoh.study import statistics
+from mast_zenoh.study.statistics import kaplan_meier, trial_estimate
 
 NAN = math.nan
 
 
 def test_the_interval_of_a_mean_is_students_t_over_seeds_as_in_all_studies() -> None:
     values = np.random.default_rng(2).normal(3.0, 2.0, (3, 8))
-    measured = intervals.mean(values.ravel(), scenes=3, paired=True)
+    measured = statistics.mean(values.ravel(), scenes=3, paired=True)
     expected = trial_estimate(values, (-math.inf, math.inf), paired=True)
     assert measured.interval == STUDENT
     assert (*measured[:3], measured.p) == (expected.value, expected.low, expected.high, expected.p)
-    transposed = intervals.mean(values.T.ravel(), scenes=8)  # of too few seeds, scenes are the units
+    transposed = statistics.mean(values.T.ravel(), scenes=8)  # of too few seeds, scenes are the units
     assert transposed[1:3] == pytest.approx((expected.low, expected.high))
 
 
@@ -30,7 +29,7 @@ def test_the_interval_of_rare_misses_contains_the_true_mean_as_often_as_it_says(
     """Ten pairs; a bootstrap covers 66 to 85 % here. Where most pairs agree, there is no interval."""
     rng = np.random.default_rng(3)
     pairs = rng.poisson(rate, (600, 10)) - rng.poisson(0.1, (600, 10))
-    drawn = [intervals.mean(each, paired=True) for each in pairs]
+    drawn = [statistics.mean(each, paired=True) for each in pairs]
     known = [each for each in drawn if each.interval == STUDENT]
     assert np.mean([each.low <= rate - 0.1 <= each.high for each in known]) >= 0.9
     assert {each.interval for each in drawn} - {STUDENT} <= {MOSTLY_ZERO, ""}
@@ -39,18 +38,18 @@ def test_the_interval_of_rare_misses_contains_the_true_mean_as_often_as_it_says(
 @pytest.mark.parametrize(
     ("measured", "value", "low"),
     [
-        (intervals.mean([1.0, 2.0, 3.0, 4.0]), 2.5, NAN),  # fewer than five trials have no interval
-        (intervals.mean([1.0], (0.0, 1.0)), 1.0, NAN),  # of shares, too
-        (intervals.share([0.0] * 4, [7.0] * 4), 0.0, NAN),
-        (intervals.mean([0.3] * 10), 0.3, NAN),  # nor have equal ones, as their spread is unknown
-        (intervals.mean([NAN]), NAN, NAN),
-        (intervals.share(0.1 * np.arange(1, 7), np.arange(1.0, 7.0)), 0.1, NAN),  # equal in all trials
-        (intervals.share([0.0, 0.0], [0.0, 0.0]), NAN, NAN),
-        (intervals.share_of_runs([[], []]), NAN, NAN),
-        (intervals.pooled(lambda rows: 1.0 - 1e-16 * float(rows[0]), 6), 1.0, NAN),  # rounding errors
-        (intervals.pooled(lambda rows: 1.0 if rows[0] == 0 else NAN, 5), 1.0, NAN),  # mostly undefined
-        (intervals.share([7.0] * 20, [7.0] * 20), 1.0, 0.025 ** (1 / 20)),  # exact, as binomial
-        (intervals.rate(0, 0.0, 0), NAN, NAN),
+        (statistics.mean([1.0, 2.0, 3.0, 4.0]), 2.5, NAN),  # fewer than five trials have no interval
+        (statistics.mean([1.0], (0.0, 1.0)), 1.0, NAN),  # of shares, too
+        (statistics.share([0.0] * 4, [7.0] * 4), 0.0, NAN),
+        (statistics.mean([0.3] * 10), 0.3, NAN),  # nor have equal ones, as their spread is unknown
+        (statistics.mean([NAN]), NAN, NAN),
+        (statistics.share(0.1 * np.arange(1, 7), np.arange(1.0, 7.0)), 0.1, NAN),  # equal in all trials
+        (statistics.share([0.0, 0.0], [0.0, 0.0]), NAN, NAN),
+        (statistics.share_of_runs([[], []]), NAN, NAN),
+        (statistics.pooled(lambda rows: 1.0 - 1e-16 * float(rows[0]), 6), 1.0, NAN),  # rounding errors
+        (statistics.pooled(lambda rows: 1.0 if rows[0] == 0 else NAN, 5), 1.0, NAN),  # mostly undefined
+        (statistics.share([7.0] * 20, [7.0] * 20), 1.0, 0.025 ** (1 / 20)),  # exact, as binomial
+        (statistics.rate(0, 0.0, 0), NAN, NAN),
     ],
 )
 def test_an_interval_is_unknown_where_the_spread_of_trials_is(measured: Statistic, value: float, low: float) -> None:
@@ -59,68 +58,68 @@ def test_an_interval_is_unknown_where_the_spread_of_trials_is(measured: Statisti
 
 def test_a_number_says_how_its_bounds_were_computed_and_nothing_without_bounds() -> None:
     methods = [
-        (intervals.mean([1.0, 2.0, 3.0, 4.0, 5.0]), STUDENT),
-        (intervals.mean([0.0] * 6 + [1.0], paired=True), MOSTLY_ZERO),
-        (intervals.mean([1.0, 2.0]), ""),
-        (intervals.mean([0.3] * 10), ""),
-        (intervals.mean([0.0] * 6, (0.0, 1.0)), BINOMIAL),
-        (intervals.share([1.0, 0.0, 9.0, 3.0, 2.0], [1.0, 5.0, 10.0, 4.0, 2.0]), BOOTSTRAP),
-        (intervals.share([0.0] * 6, [7.0] * 6), BINOMIAL),
-        (intervals.share([1.0, 2.0], [2.0, 3.0]), ""),
-        (intervals.pooled(lambda rows: float(rows.mean()), 5), BOOTSTRAP),
-        (intervals.pooled(lambda rows: float(rows.mean()), 4), ""),
+        (statistics.mean([1.0, 2.0, 3.0, 4.0, 5.0]), STUDENT),
+        (statistics.mean([0.0] * 6 + [1.0], paired=True), MOSTLY_ZERO),
+        (statistics.mean([1.0, 2.0]), ""),
+        (statistics.mean([0.3] * 10), ""),
+        (statistics.mean([0.0] * 6, (0.0, 1.0)), BINOMIAL),
+        (statistics.share([1.0, 0.0, 9.0, 3.0, 2.0], [1.0, 5.0, 10.0, 4.0, 2.0]), BOOTSTRAP),
+        (statistics.share([0.0] * 6, [7.0] * 6), BINOMIAL),
+        (statistics.share([1.0, 2.0], [2.0, 3.0]), ""),
+        (statistics.pooled(lambda rows: float(rows.mean()), 5), BOOTSTRAP),
+        (statistics.pooled(lambda rows: float(rows.mean()), 4), ""),
     ]
     assert [measured.interval for measured, _ in methods] == [expected for _, expected in methods]
 
 
 def test_a_statistic_that_is_equal_in_each_trial_has_no_interval() -> None:
-    equal = intervals.pooled(lambda rows: 2.0, 6)
+    equal = statistics.pooled(lambda rows: 2.0, 6)
     assert (equal.value, equal.interval) == (2.0, "")
     assert math.isnan(equal.low)
     values = np.array([2.0] * 20 + [9.0])
-    measured = intervals.pooled(lambda rows: float(np.median(values[rows])), len(values))
+    measured = statistics.pooled(lambda rows: float(np.median(values[rows])), len(values))
     assert measured[:3] == (2.0, 2.0, 2.0), "one trial differs"
 
 
 def test_a_trial_without_the_value_is_left_out() -> None:
-    measured = intervals.mean([1.0, NAN, 3.0])
+    measured = statistics.mean([1.0, NAN, 3.0])
     assert (measured.value, measured.trials, measured.left_out) == (2.0, 2, 1)
-    assert intervals.mean([1.0, 2.0, 3.0, 4.0]).trials == 4
+    assert statistics.mean([1.0, 2.0, 3.0, 4.0]).trials == 4
 
 
 def test_a_share_is_that_of_all_trials_together_and_a_trial_is_drawn_with_all_its_lies() -> None:
-    measured = intervals.share([1.0, 0.0, 9.0, 3.0, 2.0], [1.0, 5.0, 10.0, 4.0, 2.0])
+    measured = statistics.share([1.0, 0.0, 9.0, 3.0, 2.0], [1.0, 5.0, 10.0, 4.0, 2.0])
     assert measured.value == pytest.approx(15 / 22)
     assert 0.0 < measured.low < measured.value < measured.high <= 1.0
     # Nine trials with 1 lie each, one with 1000: the share depends on whether that one is drawn.
-    measured = intervals.share([1.0] * 9 + [0.0], [1.0] * 9 + [1000.0])
+    measured = statistics.share([1.0] * 9 + [0.0], [1.0] * 9 + [1000.0])
     assert measured.low < 0.01
     assert measured.high == 1.0
-    never = intervals.share([0.0] * 20, [7.0] * 20)
+    never = statistics.share([0.0] * 20, [7.0] * 20)
     assert (never.value, never.high) == (0.0, pytest.approx(1.0 - 0.025 ** (1 / 20)))
 
 
 def test_rates_have_garwoods_interval() -> None:
     for events, low, high in ((0, 0.0, 3.689), (1, 0.0253, 5.572), (10, 4.795, 18.39)):  # Garwood (1936), table
-        measured = intervals.rate(events, 3.0, 180)
+        measured = statistics.rate(events, 3.0, 180)
         assert measured[:3] == pytest.approx((events / 3.0, low / 3.0, high / 3.0), rel=1e-3)
 
 
 def test_several_runs_of_a_trial_count_as_one_in_the_interval() -> None:
     single, fourfold = (
-        intervals.share_of_runs([[True], *[[False]] * 9]),
-        intervals.share_of_runs([[True] * 4, *[[False] * 4] * 9]),
+        statistics.share_of_runs([[True], *[[False]] * 9]),
+        statistics.share_of_runs([[True] * 4, *[[False] * 4] * 9]),
     )
     assert (single.value, single.low, single.high) == (0.1, *fourfold[1:3])
     assert single.high == pytest.approx(0.445, abs=1e-3), "Clopper and Pearson's for one of ten"
     assert (fourfold.value, fourfold.trials) == (0.1, 40)
-    none = intervals.share_of_runs([[False]] * 72)
+    none = statistics.share_of_runs([[False]] * 72)
     assert none[:3] == (0.0, 0.0, pytest.approx(1.0 - 0.025 ** (1 / 72))), "fewer than 5 %"
 
 
 def test_an_infinite_draw_makes_the_bound_infinite() -> None:
     times = np.array([1.0, 1.0, 1.0, math.inf, math.inf])
-    assert intervals.pooled(lambda rows: float(np.median(times[rows])), 5)[:3] == (1.0, 1.0, math.inf)
+    assert statistics.pooled(lambda rows: float(np.median(times[rows])), 5)[:3] == (1.0, 1.0, math.inf)
 
 
 @pytest.mark.parametrize(
