@@ -1,8 +1,6 @@
 """Pages, the citation and the pictures agree with the package."""
 
-import ast
 import dataclasses
-import inspect
 import json
 import re
 import shlex
@@ -50,7 +48,7 @@ def test_the_citation_has_all_required_keys_and_agrees_with_the_package() -> Non
     assert len(set(CITATION["keywords"])) == len(CITATION["keywords"]), "the format allows no duplicates"
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "defences.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "explanation-defences.md").read_text(encoding="utf-8")
 SHIPPED = {name: cls for name, cls in known_types(Integrity).items() if cls.__module__.startswith("mast_zenoh.")}
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 COMMANDS = [
@@ -63,12 +61,8 @@ def section(name: str) -> str:
     return PAGE.split(f"\n### {name}\n", 1)[1].split("\n### ", 1)[0]
 
 
-def test_every_stage_has_a_section_with_its_parameters_and_defaults() -> None:
+def test_every_stage_has_a_section_with_what_it_catches_and_its_weaknesses() -> None:
     for name in SHIPPED.keys() - {"NoIntegrity"}:
-        rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| [^|]*\| [^|]+ \|$", section(name), flags=re.M)
-        documented = {parameter: ast.literal_eval(default) for parameter, default in rows}
-        parameters = inspect.signature(SHIPPED[name]).parameters
-        assert documented == {parameter: value.default for parameter, value in parameters.items()}, name
         assert "*Catches*" in section(name)
         assert "*Weaknesses*" in section(name)
 
