@@ -16,7 +16,6 @@ import socket
 import threading
 import tomllib
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -34,7 +33,6 @@ from mast_zenoh.cli.app import app
 from mast_zenoh.config import registry
 from mast_zenoh.faults import Fault
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.mesh.security.authority import Authority
 from mast_zenoh.mesh.session import open_client
 from mast_zenoh.study import definition
 from mast_zenoh.study.search import searching
@@ -188,18 +186,6 @@ def messages_of_a_run(block: Block, folder: Path) -> None:
     assert len(printed) == 6  # two agents, three frames
 
 
-def expired_credentials(block: Block, folder: Path) -> None:
-    now = datetime.now(UTC)
-    begins, ends = now - timedelta(hours=2), now - timedelta(hours=1)
-    credentials = Authority("r").issue("infra_1", begins=begins, ends=ends).write(folder)
-    content = block.content.replace("credentials/infra_1", str(credentials)).replace(
-        "tls/router:7447", "tls/127.0.0.1:9"
-    )
-    sentences = executed(block._replace(content=content))["_"]
-    assert "certificate expired" in sentences[0]
-    assert "certificate expired" in block.content
-
-
 def study_of_ones_own(block: Block, folder: Path) -> None:
     (folder / "mine.py").write_text(block.content.replace("avstack:PATH", "intersection:1"))
     study = definition.load(str(folder / "mine.py"), ["n=3"])
@@ -293,6 +279,7 @@ def metric_of_messages(block: Block, folder: Path) -> None:
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "driving.md": [whole_scenario, whole_scenario, played_scenario],
+    "explanation-security.md": [attempts_of_ones_own],
     "explanation-threat-model.md": [draws_of_the_authors_software],
     "exports.md": [None],  # test_export_labels.py
     "faults.md": [*[part_of_a_scenario] * 3, random_faults, fault_of_ones_own],
@@ -306,7 +293,6 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
     "scenarios.md": [whole_scenario, results_of_a_node],
     "searches.md": [study_with_a_search],
-    "security.md": [attempts_of_ones_own, expired_credentials],
     "sensors.md": [None] * 3,  # test_page_examples.py
     "simulation.md": [simulated_run] * 4,
     "studies.md": [study_of_ones_own, kind_of_ones_own],
