@@ -169,7 +169,7 @@ def shell(line: str, folder: Path) -> None:
 
 @pytest.mark.mesh
 def test_every_file_and_command_of_the_page_on_interception_works_as_written(tmp_path: Path) -> None:
-    example = page("interception").split("## An example")[1].split("\n## ")[0]
+    example = page("how-to-intercept").split("## An example")[1].split("\n## ")[0]
     blocks = re.findall(r"^```(console terminal=1|console|python file=(\S+))\n(.*?)^```$", example, flags=re.S | re.M)
     assert len(blocks) == len(re.findall(r"^```\w", example, flags=re.M)) == 4, "a block that no test runs"
     (_, _, first), *files, (_, _, others) = blocks
