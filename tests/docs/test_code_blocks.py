@@ -290,6 +290,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "driving.md": [whole_scenario, whole_scenario, played_scenario],
     "exports.md": [None],  # test_export_labels.py
     "fusion.md": [whole_scenario],
+    "how-to-record-and-replay.md": [messages_of_a_run],
     "how-to-scenarios.md": [
         whole_scenario,
         part_of_a_scenario,
@@ -301,7 +302,6 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "metrics.md": [None, metric_of_messages],  # test_facts_of_pages.py
     "network.md": [whole_scenario],
     "python.md": [None] * 13,  # test_page_examples.py
-    "recording.md": [messages_of_a_run],
     "ref-detections-and-arrays.md": [None] * 2,  # test_page_examples.py
     "ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
     "searches.md": [study_with_a_search],
@@ -316,7 +316,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
 
 #: Pages whose files are run by tests of their own.
 _WALK_THROUGHS = """
-    animations extending how-to-intercept replay plugins ros2_nodes stone_soup
+    animations extending how-to-intercept how-to-record-and-replay plugins ros2_nodes stone_soup
     tutorial-defence tutorial-driving tutorial-first-attack tutorial-own-data
 """
 WALK_THROUGHS = [f"{name}.md" for name in _WALK_THROUGHS.split()]
