@@ -160,12 +160,6 @@ def random_faults(block: Block, folder: Path) -> None:
     assert all(registry.build(fault, Fault, "faults") for fault in executed(block)["faults"])
 
 
-def fault_of_ones_own(block: Block, folder: Path) -> None:
-    fault = executed(block)["WeakSignal"](at=1.0, node="ego", strength=0.5)
-    assert [rule["type"] for rule in fault.rules(lockstep=True)] == ["Loss", "Delay"]
-    resolved(dict(faults=[dict(type="WeakSignal", at=1.0, until=2.0, node="ego", strength=0.5)]))
-
-
 def draws_of_the_authors_software(block: Block, folder: Path) -> None:
     (comment,) = re.findall(r"# (\[.*\])$", block.content, flags=re.M)
     assert executed(block)["_"] == ast.literal_eval(comment)
@@ -282,16 +276,21 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "explanation-security.md": [attempts_of_ones_own],
     "explanation-threat-model.md": [draws_of_the_authors_software],
     "exports.md": [None],  # test_export_labels.py
-    "faults.md": [*[part_of_a_scenario] * 3, random_faults, fault_of_ones_own],
     "fusion.md": [whole_scenario],
-    "links.md": [part_of_a_scenario, None],  # test_page_examples.py
+    "how-to-record-and-replay.md": [messages_of_a_run],
+    "how-to-scenarios.md": [
+        whole_scenario,
+        part_of_a_scenario,
+        None,  # test_page_examples.py
+        part_of_a_scenario,
+        random_faults,
+        results_of_a_node,
+    ],
     "metrics.md": [None, metric_of_messages],  # test_facts_of_pages.py
     "network.md": [whole_scenario],
     "python.md": [None] * 13,  # test_page_examples.py
-    "recording.md": [messages_of_a_run],
     "ref-detections-and-arrays.md": [None] * 2,  # test_page_examples.py
     "ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
-    "scenarios.md": [whole_scenario, results_of_a_node],
     "searches.md": [study_with_a_search],
     "sensors.md": [None] * 3,  # test_page_examples.py
     "simulation.md": [simulated_run] * 4,
@@ -303,7 +302,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
 
 #: Pages whose files are run by tests of their own.
 _WALK_THROUGHS = """
-    animations extending interception replay plugins ros2_nodes stone_soup
+    animations extending how-to-intercept how-to-record-and-replay plugins ros2_nodes stone_soup
     tutorial-defence tutorial-driving tutorial-first-attack tutorial-own-data
 """
 WALK_THROUGHS = [f"{name}.md" for name in _WALK_THROUGHS.split()]

@@ -49,7 +49,8 @@ def names_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Played:
 
 
 def test_the_link_of_the_page_is_on_the_detections_of_the_ego() -> None:
-    (example,) = re.findall(r"^## On other wires\n.*?^```python\n(.*?)^```$", page("links"), flags=re.S | re.M)
+    text = page("how-to-scenarios")
+    (example,) = re.findall(r"^### On other wires\n.*?^```python\n(.*?)^```$", text, flags=re.S | re.M)
     names: dict[str, Any] = {}
     exec(example, names)
     path, content = scenario.load("baseline", ["n_infrastructure=1"])
