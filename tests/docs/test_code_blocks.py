@@ -294,9 +294,10 @@ def metric_of_messages(block: Block, folder: Path) -> None:
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "attacks.md": [draws_of_the_authors_software],
     "driving.md": [whole_scenario, whole_scenario, played_scenario],
+    "explanation-tracking-and-fusion.md": [tracking_by_hand, whole_scenario],
     "exports.md": [None],  # test_export_labels.py
     "faults.md": [*[part_of_a_scenario] * 3, random_faults, fault_of_ones_own],
-    "fusion.md": [whole_scenario],
+    "how-to-sensors.md": [None] * 3,  # test_page_examples.py
     "links.md": [part_of_a_scenario, None],  # test_page_examples.py
     "metrics.md": [None, metric_of_messages],  # test_facts_of_pages.py
     "network.md": [whole_scenario],
@@ -307,17 +308,15 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "scenarios.md": [whole_scenario, results_of_a_node],
     "searches.md": [study_with_a_search],
     "security.md": [attempts_of_ones_own, expired_credentials],
-    "sensors.md": [None] * 3,  # test_page_examples.py
     "simulation.md": [simulated_run] * 4,
     "studies.md": [study_of_ones_own, kind_of_ones_own],
-    "tracking.md": [tracking_by_hand],
     "v2x.md": [whole_scenario],
 }
 
 
 #: Pages whose files are run by tests of their own.
 _WALK_THROUGHS = """
-    animations extending interception replay plugins ros2_nodes stone_soup
+    animations extending how-to-stone-soup interception replay plugins ros2_nodes
     tutorial-defence tutorial-driving tutorial-first-attack tutorial-own-data
 """
 WALK_THROUGHS = [f"{name}.md" for name in _WALK_THROUGHS.split()]
