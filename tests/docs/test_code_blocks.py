@@ -285,21 +285,16 @@ def message_of_ros(block: Block, folder: Path) -> None:
     assert decode(key.type_name, names["payload"]).header.frame_id == "map"
 
 
-def metric_of_messages(block: Block, folder: Path) -> None:
-    (metric,) = [value for name, value in executed(block).items() if name == "TracksPerMessage"]
-    assert metric().per_message(0, "ego", {"id": np.array([3, 4])}) == 2
-
-
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "attacks.md": [draws_of_the_authors_software],
     "driving.md": [whole_scenario, whole_scenario, played_scenario],
+    "explanation-metrics-and-causes.md": [None],  # test_facts_of_pages.py
     "explanation-tracking-and-fusion.md": [tracking_by_hand, whole_scenario],
     "exports.md": [None],  # test_export_labels.py
     "faults.md": [*[part_of_a_scenario] * 3, random_faults, fault_of_ones_own],
     "how-to-sensors.md": [None] * 3,  # test_page_examples.py
     "links.md": [part_of_a_scenario, None],  # test_page_examples.py
-    "metrics.md": [None, metric_of_messages],  # test_facts_of_pages.py
     "network.md": [whole_scenario],
     "python.md": [None] * 13,  # test_page_examples.py
     "recording.md": [messages_of_a_run],
