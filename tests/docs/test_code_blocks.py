@@ -288,7 +288,7 @@ def message_of_ros(block: Block, folder: Path) -> None:
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "attacks.md": [draws_of_the_authors_software],
-    "driving.md": [whole_scenario, whole_scenario, played_scenario],
+    "explanation-driving.md": [whole_scenario, played_scenario],
     "explanation-metrics-and-causes.md": [None],  # test_facts_of_pages.py
     "explanation-tracking-and-fusion.md": [tracking_by_hand, whole_scenario],
     "exports.md": [None],  # test_export_labels.py
