@@ -291,6 +291,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "explanation-driving.md": [whole_scenario, played_scenario],
     "explanation-metrics-and-causes.md": [None],  # test_facts_of_pages.py
     "explanation-tracking-and-fusion.md": [tracking_by_hand, whole_scenario],
+    "explanation-v2x.md": [whole_scenario],
     "exports.md": [None],  # test_export_labels.py
     "faults.md": [*[part_of_a_scenario] * 3, random_faults, fault_of_ones_own],
     "how-to-sensors.md": [None] * 3,  # test_page_examples.py
@@ -305,7 +306,6 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "security.md": [attempts_of_ones_own, expired_credentials],
     "simulation.md": [simulated_run] * 4,
     "studies.md": [study_of_ones_own, kind_of_ones_own],
-    "v2x.md": [whole_scenario],
 }
 
 
