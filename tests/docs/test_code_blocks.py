@@ -265,18 +265,15 @@ def message_of_ros(block: Block, folder: Path) -> None:
     assert decode(key.type_name, names["payload"]).header.frame_id == "map"
 
 
-def metric_of_messages(block: Block, folder: Path) -> None:
-    (metric,) = [value for name, value in executed(block).items() if name == "TracksPerMessage"]
-    assert metric().per_message(0, "ego", {"id": np.array([3, 4])}) == 2
-
-
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
-    "driving.md": [whole_scenario, whole_scenario, played_scenario],
+    "explanation-driving.md": [whole_scenario, played_scenario],
+    "explanation-metrics-and-causes.md": [None],  # test_facts_of_pages.py
     "explanation-security.md": [attempts_of_ones_own],
     "explanation-threat-model.md": [draws_of_the_authors_software],
+    "explanation-tracking-and-fusion.md": [tracking_by_hand, whole_scenario],
+    "explanation-v2x.md": [whole_scenario],
     "exports.md": [None],  # test_export_labels.py
-    "fusion.md": [whole_scenario],
     "how-to-record-and-replay.md": [messages_of_a_run],
     "how-to-scenarios.md": [
         whole_scenario,
@@ -286,23 +283,20 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
         random_faults,
         results_of_a_node,
     ],
-    "metrics.md": [None, metric_of_messages],  # test_facts_of_pages.py
+    "how-to-sensors.md": [None] * 3,  # test_page_examples.py
     "network.md": [whole_scenario],
     "python.md": [None] * 13,  # test_page_examples.py
     "ref-detections-and-arrays.md": [None] * 2,  # test_page_examples.py
     "ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
     "searches.md": [study_with_a_search],
-    "sensors.md": [None] * 3,  # test_page_examples.py
     "simulation.md": [simulated_run] * 4,
     "studies.md": [study_of_ones_own, kind_of_ones_own],
-    "tracking.md": [tracking_by_hand],
-    "v2x.md": [whole_scenario],
 }
 
 
 #: Pages whose files are run by tests of their own.
 _WALK_THROUGHS = """
-    animations extending how-to-intercept how-to-record-and-replay plugins ros2_nodes stone_soup
+    animations extending how-to-intercept how-to-record-and-replay how-to-stone-soup plugins ros2_nodes
     tutorial-defence tutorial-driving tutorial-first-attack tutorial-own-data
 """
 WALK_THROUGHS = [f"{name}.md" for name in _WALK_THROUGHS.split()]

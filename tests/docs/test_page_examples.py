@@ -19,7 +19,7 @@ from mast_zenoh.wiring.model import Wiring
 
 DOCS = Path(__file__).parents[2] / "docs"
 RADAR = "agent/infra_1/detections/radar"
-STONE_SOUP = (DOCS / "stone_soup.md").read_text(encoding="utf-8")
+STONE_SOUP = (DOCS / "how-to-stone-soup.md").read_text(encoding="utf-8")
 COMMANDS = [shlex.split(line) for line in re.findall(r"^    mast (.*)$", STONE_SOUP, flags=re.M)]
 
 needs_stone_soup = pytest.mark.skipif(
@@ -66,7 +66,7 @@ def test_the_blocks_on_scene_arrays_run(names_of: Played) -> None:
 
 
 def test_the_blocks_on_sensors_run(names_of: Played) -> None:
-    names = names_of("sensors")
+    names = names_of("how-to-sensors")
     times = names["road"].agent("infra_1").detections.column("time_s").unique().to_pylist()
     assert times[:3] == pytest.approx([0.07, 0.27, 0.47])
     pole = names["run"].agent("infra_1")
