@@ -1,4 +1,4 @@
-"""docs/architecture.md follows a detection and a metric through the files that the code has, and few of them."""
+"""docs/explanation-architecture.md follows a detection and a metric through the files that the code has, and few of them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGE = (ROOT / "docs" / "architecture.md").read_text()
+PAGE = (ROOT / "docs" / "explanation-architecture.md").read_text()
 PATHS = {
     "One detection, from the simulator to the picture": 12,
     "One metric, from the evaluator to the page": 7,
