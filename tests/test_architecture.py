@@ -1,4 +1,4 @@
-"""docs/explanation-architecture.md follows a detection and a metric through the files that the code has, and few of them."""
+"""The page on architecture follows a detection and a metric through the files that the code has, and few of them."""
 
 from __future__ import annotations
 

@@ -294,6 +294,7 @@ def metric_of_messages(block: Block, folder: Path) -> None:
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "attacks.md": [draws_of_the_authors_software],
     "driving.md": [whole_scenario, whole_scenario, played_scenario],
+    "explanation-determinism.md": [simulated_run] * 3,
     "exports.md": [None],  # test_export_labels.py
     "faults.md": [*[part_of_a_scenario] * 3, random_faults, fault_of_ones_own],
     "fusion.md": [whole_scenario],
@@ -308,7 +309,6 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "searches.md": [study_with_a_search],
     "security.md": [attempts_of_ones_own, expired_credentials],
     "sensors.md": [None] * 3,  # test_page_examples.py
-    "simulation.md": [simulated_run] * 4,
     "studies.md": [study_of_ones_own, kind_of_ones_own],
     "tracking.md": [tracking_by_hand],
     "v2x.md": [whole_scenario],
