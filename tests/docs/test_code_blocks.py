@@ -298,9 +298,9 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "exports.md": [None],  # test_export_labels.py
     "faults.md": [*[part_of_a_scenario] * 3, random_faults, fault_of_ones_own],
     "fusion.md": [whole_scenario],
+    "how-to-hosts.md": [whole_scenario],
     "links.md": [part_of_a_scenario, None],  # test_page_examples.py
     "metrics.md": [None, metric_of_messages],  # test_facts_of_pages.py
-    "network.md": [whole_scenario],
     "python.md": [None] * 13,  # test_page_examples.py
     "recording.md": [messages_of_a_run],
     "ref-detections-and-arrays.md": [None] * 2,  # test_page_examples.py
