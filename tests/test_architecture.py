@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from mast_zenoh.layers import LAYERS
+
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "explanation-architecture.md").read_text()
 PATHS = {
@@ -80,3 +82,9 @@ def test_a_path_through_the_code_has_few_files_and_every_name_leads_to_the_next(
         assert called, f"{path}: {name} does not lead to {next_name} of {next_path}"
     assert way[-1][1] not in CROSSINGS
     definition(*way[-1])
+
+
+def test_the_plan_of_the_house_has_every_room_in_the_order_of_imports() -> None:
+    plan = (ROOT / "CONTRIBUTING.md").read_text().partition("```mermaid\n")[2].partition("```")[0]
+    floors = re.findall(r'\["(.*?)<br>', plan)
+    assert [room for floor in floors for room in floor.split(" · ")] == list(LAYERS)
