@@ -267,6 +267,7 @@ def message_of_ros(block: Block, folder: Path) -> None:
 
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
+    "explanation-determinism.md": [simulated_run] * 3,
     "explanation-driving.md": [whole_scenario, played_scenario],
     "explanation-metrics-and-causes.md": [None],  # test_facts_of_pages.py
     "explanation-security.md": [attempts_of_ones_own],
@@ -274,6 +275,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "explanation-tracking-and-fusion.md": [tracking_by_hand, whole_scenario],
     "explanation-v2x.md": [whole_scenario],
     "exports.md": [None],  # test_export_labels.py
+    "how-to-hosts.md": [whole_scenario],
     "how-to-record-and-replay.md": [messages_of_a_run],
     "how-to-scenarios.md": [
         whole_scenario,
@@ -284,12 +286,10 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
         results_of_a_node,
     ],
     "how-to-sensors.md": [None] * 3,  # test_page_examples.py
-    "network.md": [whole_scenario],
     "python.md": [None] * 13,  # test_page_examples.py
     "ref-detections-and-arrays.md": [None] * 2,  # test_page_examples.py
     "ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
     "searches.md": [study_with_a_search],
-    "simulation.md": [simulated_run] * 4,
     "studies.md": [study_of_ones_own, kind_of_ones_own],
 }
 

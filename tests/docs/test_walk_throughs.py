@@ -200,7 +200,7 @@ def test_every_file_and_command_of_the_page_on_interception_works_as_written(tmp
 @pytest.mark.timeout(600)
 def test_every_command_of_the_page_on_deployment_for_one_machine_works_as_written(tmp_path: Path) -> None:
     here = base()
-    blocks = re.findall(r"^```console( image)?\n(.*?)^```$", page("deploy"), flags=re.S | re.M)
+    blocks = re.findall(r"^```console( image)?\n(.*?)^```$", page("how-to-hosts"), flags=re.S | re.M)
     assert len(blocks) >= 3
     for image, text in blocks:
         for line in text.splitlines():
@@ -210,7 +210,7 @@ def test_every_command_of_the_page_on_deployment_for_one_machine_works_as_writte
 
 
 def test_the_example_of_the_page_on_deployment_places_nodes_as_described() -> None:
-    text = re.findall(r"^```toml\n(.*?)^```$", page("deploy"), flags=re.S | re.M)[0]
+    text = re.findall(r"^```toml\n(.*?)^```$", page("how-to-hosts"), flags=re.S | re.M)[0]
     path, loaded = scenario.load("uncoordinated")
     nodes = scenario.resolve(path, loaded, frames=2, record=True).nodes
     placed = hostsfile.parse(text, "hosts.toml").placed(nodes)
