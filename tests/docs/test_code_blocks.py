@@ -317,7 +317,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
 
 #: Pages whose files are run by tests of their own.
 _WALK_THROUGHS = """
-    animations extending interception replay plugins ros2_nodes stone_soup
+    animations how-to-write-a-part interception replay ros2_nodes stone_soup
     tutorial-defence tutorial-driving tutorial-first-attack tutorial-own-data
 """
 WALK_THROUGHS = [f"{name}.md" for name in _WALK_THROUGHS.split()]
