@@ -295,12 +295,12 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "attacks.md": [draws_of_the_authors_software],
     "driving.md": [whole_scenario, whole_scenario, played_scenario],
     "exports.md": [None],  # test_export_labels.py
+    "how-to-python.md": [None] * 13,  # test_page_examples.py
     "faults.md": [*[part_of_a_scenario] * 3, random_faults, fault_of_ones_own],
     "fusion.md": [whole_scenario],
     "links.md": [part_of_a_scenario, None],  # test_page_examples.py
     "metrics.md": [None, metric_of_messages],  # test_facts_of_pages.py
     "network.md": [whole_scenario],
-    "python.md": [None] * 13,  # test_page_examples.py
     "recording.md": [messages_of_a_run],
     "ref-detections-and-arrays.md": [None] * 2,  # test_page_examples.py
     "ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
