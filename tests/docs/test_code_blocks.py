@@ -296,6 +296,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "driving.md": [whole_scenario, whole_scenario, played_scenario],
     "exports.md": [None],  # test_export_labels.py
     "how-to-python.md": [None] * 13,  # test_page_examples.py
+    "how-to-ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
     "faults.md": [*[part_of_a_scenario] * 3, random_faults, fault_of_ones_own],
     "fusion.md": [whole_scenario],
     "links.md": [part_of_a_scenario, None],  # test_page_examples.py
@@ -303,7 +304,6 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "network.md": [whole_scenario],
     "recording.md": [messages_of_a_run],
     "ref-detections-and-arrays.md": [None] * 2,  # test_page_examples.py
-    "ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
     "scenarios.md": [whole_scenario, results_of_a_node],
     "searches.md": [study_with_a_search],
     "security.md": [attempts_of_ones_own, expired_credentials],
@@ -317,7 +317,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
 
 #: Pages whose files are run by tests of their own.
 _WALK_THROUGHS = """
-    animations how-to-write-a-part interception replay ros2_nodes stone_soup
+    animations how-to-ros2 how-to-write-a-part interception replay stone_soup
     tutorial-defence tutorial-driving tutorial-first-attack tutorial-own-data
 """
 WALK_THROUGHS = [f"{name}.md" for name in _WALK_THROUGHS.split()]
