@@ -1,9 +1,8 @@
 import sys
 import threading
 
-from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber, ZenohSession
-
 from mast_ros2.type_store import DETECTIONS, STORE, type_hash
+from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber, ZenohSession
 
 where = dict(router_ip=sys.argv[1], router_port=int(sys.argv[2]))
 session = ZenohSession.get_instance(**where)
