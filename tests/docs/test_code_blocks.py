@@ -294,7 +294,7 @@ def metric_of_messages(block: Block, folder: Path) -> None:
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "attacks.md": [draws_of_the_authors_software],
     "driving.md": [whole_scenario, whole_scenario, played_scenario],
-    "exports.md": [None],  # test_export_labels.py
+    "how-to-export.md": [None],  # test_export_labels.py
     "how-to-python.md": [None] * 13,  # test_page_examples.py
     "how-to-ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
     "faults.md": [*[part_of_a_scenario] * 3, random_faults, fault_of_ones_own],
@@ -317,7 +317,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
 
 #: Pages whose files are run by tests of their own.
 _WALK_THROUGHS = """
-    animations how-to-ros2 how-to-write-a-part interception replay stone_soup
+    how-to-export how-to-ros2 how-to-write-a-part interception replay stone_soup
     tutorial-defence tutorial-driving tutorial-first-attack tutorial-own-data
 """
 WALK_THROUGHS = [f"{name}.md" for name in _WALK_THROUGHS.split()]
