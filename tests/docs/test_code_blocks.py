@@ -297,6 +297,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "how-to-export.md": [None],  # test_export_labels.py
     "how-to-python.md": [None] * 13,  # test_page_examples.py
     "how-to-ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
+    "how-to-studies.md": [study_of_ones_own, kind_of_ones_own, study_with_a_search],
     "faults.md": [*[part_of_a_scenario] * 3, random_faults, fault_of_ones_own],
     "fusion.md": [whole_scenario],
     "links.md": [part_of_a_scenario, None],  # test_page_examples.py
@@ -305,11 +306,9 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "recording.md": [messages_of_a_run],
     "ref-detections-and-arrays.md": [None] * 2,  # test_page_examples.py
     "scenarios.md": [whole_scenario, results_of_a_node],
-    "searches.md": [study_with_a_search],
     "security.md": [attempts_of_ones_own, expired_credentials],
     "sensors.md": [None] * 3,  # test_page_examples.py
     "simulation.md": [simulated_run] * 4,
-    "studies.md": [study_of_ones_own, kind_of_ones_own],
     "tracking.md": [tracking_by_hand],
     "v2x.md": [whole_scenario],
 }

@@ -151,7 +151,7 @@ def test_achievements_and_consequences_for_driving_are_documented(run: Path) -> 
 
 def test_every_block_of_the_metrics_that_a_study_reads_is_on_the_page() -> None:
     page = (
-        (ROOT / "docs" / "studies.md")
+        (ROOT / "docs" / "how-to-studies.md")
         .read_text("utf-8")
         .split("Every number in these blocks of `metrics.json` becomes a row")[1]
     )
