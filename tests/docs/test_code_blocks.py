@@ -274,9 +274,11 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "explanation-threat-model.md": [draws_of_the_authors_software],
     "explanation-tracking-and-fusion.md": [tracking_by_hand, whole_scenario],
     "explanation-v2x.md": [whole_scenario],
-    "exports.md": [None],  # test_export_labels.py
+    "how-to-export.md": [None],  # test_export_labels.py
     "how-to-hosts.md": [whole_scenario],
+    "how-to-python.md": [None] * 13,  # test_page_examples.py
     "how-to-record-and-replay.md": [messages_of_a_run],
+    "how-to-ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
     "how-to-scenarios.md": [
         whole_scenario,
         part_of_a_scenario,
@@ -286,17 +288,14 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
         results_of_a_node,
     ],
     "how-to-sensors.md": [None] * 3,  # test_page_examples.py
-    "python.md": [None] * 13,  # test_page_examples.py
+    "how-to-studies.md": [study_of_ones_own, kind_of_ones_own, study_with_a_search],
     "ref-detections-and-arrays.md": [None] * 2,  # test_page_examples.py
-    "ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
-    "searches.md": [study_with_a_search],
-    "studies.md": [study_of_ones_own, kind_of_ones_own],
 }
 
 
 #: Pages whose files are run by tests of their own.
 _WALK_THROUGHS = """
-    animations extending how-to-intercept how-to-record-and-replay how-to-stone-soup plugins ros2_nodes
+    how-to-export how-to-intercept how-to-record-and-replay how-to-ros2 how-to-stone-soup how-to-write-a-part
     tutorial-defence tutorial-driving tutorial-first-attack tutorial-own-data
 """
 WALK_THROUGHS = [f"{name}.md" for name in _WALK_THROUGHS.split()]

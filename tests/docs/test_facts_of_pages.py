@@ -135,7 +135,7 @@ def test_achievements_and_consequences_for_driving_are_documented(run: Path) -> 
 
 def test_every_block_of_the_metrics_that_a_study_reads_is_on_the_page() -> None:
     page = (
-        (ROOT / "docs" / "studies.md")
+        (ROOT / "docs" / "how-to-studies.md")
         .read_text("utf-8")
         .split("Every number in these blocks of `metrics.json` becomes a row")[1]
     )
@@ -146,7 +146,8 @@ def test_every_block_of_the_metrics_that_a_study_reads_is_on_the_page() -> None:
 
 
 def test_all_that_an_adaptive_attack_gets_and_returns_is_on_the_page() -> None:
-    section = (ROOT / "docs" / "extending.md").read_text("utf-8").split("### An attack that knows the defence")[1]
+    page = (DOCS / "how-to-write-a-part.md").read_text("utf-8")
+    section = page.split("### An attack that knows the defence")[1]
     documented = set(re.findall(r"`(\w+)", section.split("\n## ")[0]))
     moment = {field.name for field in dataclasses.fields(Moment)} | {"view", "time_s"}
     of_base = {name for name in vars(AdaptiveAttack) if name[0] != "_"} - {"bind", "hear_picture", "step", "lie"}

@@ -101,7 +101,7 @@ def test_the_options_of_the_default_tracker_are_listed_with_their_defaults() -> 
 @pytest.mark.heavy
 @pytest.mark.timeout(300)
 def test_the_blocks_on_the_python_interface_run(names_of: Played, tmp_path: Path) -> None:
-    names = names_of("python")
+    names = names_of("how-to-python")
     assert (tmp_path / "birdseye.png").stat().st_size > 10_000
     assert names["mine"].attacks.num_rows > names["run"].attacks.num_rows
     assert names["study"].table().num_rows > 100

@@ -1,4 +1,4 @@
-"""Every example of docs/extending.md runs as written."""
+"""Every example of docs/how-to-write-a-part.md, and of docs/examples/, runs as written."""
 
 import json
 import os
@@ -22,15 +22,19 @@ from mast_zenoh.scenes.recording import Recording
 
 pytestmark = pytest.mark.heavy
 
-PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
-FILES = dict(re.findall(r"^```(?:python|toml) file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "how-to-write-a-part.md").read_text(encoding="utf-8")
+EXAMPLES = {path.name: path.read_text("utf-8") for path in sorted((DOCS / "examples").iterdir()) if path.is_file()}
+FILES = EXAMPLES | dict(re.findall(r"^```(?:python|toml) file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))
+#: Files whose test is elsewhere: test_outside_program.py, test_plugins.py, test_ros2_nodes_page.py.
+ELSEWHERE = {"zenoh_agent.py", "tracker.py", "with_tracker.py", "pyproject.toml", "mast_roadside.py", "near.py"}
 COMMANDS = re.findall(r"^```console\n(.*?)^```$", PAGE, flags=re.S | re.M)
 FRAMES = 40
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with all files of the page."""
+    """A folder with all these files."""
     made = tmp_path_factory.mktemp("extending")
     for name, text in FILES.items():
         (made / name).write_text(text)
@@ -253,8 +257,11 @@ def test_the_tests_of_the_page_pass(folder: Path) -> None:
     assert "3 passed" in printed
 
 
-def test_every_file_of_the_page_is_run_by_a_test() -> None:
+def test_every_file_is_run_by_a_test_and_every_example_is_linked() -> None:
     tests = Path(__file__).read_text()
     assert len(COMMANDS) == 2
     for name in FILES:
         assert f'"{name}"' in tests, f"no test runs {name}"
+    pages = "".join(path.read_text("utf-8") for path in DOCS.glob("how-to-*.md"))
+    for name in EXAMPLES:
+        assert f"(examples/{name})" in pages, f"no page links {name}"
