@@ -1,4 +1,4 @@
-"""docs/architecture.md follows a detection and a metric through the files that the code has, and few of them."""
+"""The page on architecture follows a detection and a metric through the files that the code has, and few of them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from mast_zenoh.layers import LAYERS
+
 ROOT = Path(__file__).parents[1]
-PAGE = (ROOT / "docs" / "architecture.md").read_text()
+PAGE = (ROOT / "docs" / "explanation-architecture.md").read_text()
 PATHS = {
     "One detection, from the simulator to the picture": 12,
     "One metric, from the evaluator to the page": 7,
@@ -80,3 +82,10 @@ def test_a_path_through_the_code_has_few_files_and_every_name_leads_to_the_next(
         assert called, f"{path}: {name} does not lead to {next_name} of {next_path}"
     assert way[-1][1] not in CROSSINGS
     definition(*way[-1])
+
+
+def test_the_plan_of_the_house_has_every_room_in_the_order_of_imports() -> None:
+    plan = (ROOT / "CONTRIBUTING.md").read_text().partition("```mermaid\n")[2].partition("```")[0]
+    floors = re.findall(r"direction TB\n +(.*)\n +end", plan)
+    rooms = [room for room in LAYERS if not room.startswith("_")]
+    assert [room for floor in floors for room in floor.split("; ")] == rooms

@@ -24,7 +24,8 @@ DOCS = Path(__file__).parents[1] / "docs"
 
 def public_names() -> dict[str, list[str]]:
     """The names that users may import, by module."""
-    rows = re.findall(r"^\| `(mast_\w[\w.]*)` \| (`.*`) \|$", (DOCS / "plugins.md").read_text("utf-8"), flags=re.M)
+    page = (DOCS / "how-to-write-a-part.md").read_text("utf-8")
+    rows = re.findall(r"^\| `(mast_\w[\w.]*)` \| (`.*`) \|$", page, flags=re.M)
     names = {"mast_zenoh": set(mast_zenoh.__all__)} | {module: set(re.findall(r"\w+", row)) for module, row in rows}
     for places in BASE_CLASSES.values():
         for module, _, name in (place.rpartition(".") for place in places):

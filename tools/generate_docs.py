@@ -124,11 +124,11 @@ _LAYERS = re.compile(r"(<!-- Written by `make docs` from mast_zenoh/layers.py. -
 
 
 def architecture_page() -> str:
-    """docs/architecture.md with an updated list of layers."""
+    """docs/explanation-architecture.md with an updated list of layers."""
     names = {name: f"{name}/" if (_PACKAGE / name).is_dir() else f"{name}.py" for name in LAYERS}
     width = max(map(len, names.values()))
     listing = "".join(f"{names[name]:{width}}  {holds}\n" for name, holds in LAYERS.items())
-    page = (_PACKAGE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+    page = (_PACKAGE.parent / "docs" / "explanation-architecture.md").read_text(encoding="utf-8")
     return _LAYERS.sub(lambda match: f"{match[1]}\n```text\n{listing}```\n\n{match[2]}", page)
 
 
@@ -185,7 +185,7 @@ def _text(of: object) -> list[str]:
 
 PAGES = {
     "api.md": api_page,
-    "architecture.md": architecture_page,
+    "explanation-architecture.md": architecture_page,
     "messages.md": messages_page,
     "exit_codes.md": exit_codes_page,
 }

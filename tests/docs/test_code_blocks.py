@@ -16,7 +16,6 @@ import socket
 import threading
 import tomllib
 from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -34,7 +33,6 @@ from mast_zenoh.cli.app import app
 from mast_zenoh.config import registry
 from mast_zenoh.faults import Fault
 from mast_zenoh.launch import run as launcher
-from mast_zenoh.mesh.security.authority import Authority
 from mast_zenoh.mesh.session import open_client
 from mast_zenoh.study import definition
 from mast_zenoh.study.search import searching
@@ -162,12 +160,6 @@ def random_faults(block: Block, folder: Path) -> None:
     assert all(registry.build(fault, Fault, "faults") for fault in executed(block)["faults"])
 
 
-def fault_of_ones_own(block: Block, folder: Path) -> None:
-    fault = executed(block)["WeakSignal"](at=1.0, node="ego", strength=0.5)
-    assert [rule["type"] for rule in fault.rules(lockstep=True)] == ["Loss", "Delay"]
-    resolved(dict(faults=[dict(type="WeakSignal", at=1.0, until=2.0, node="ego", strength=0.5)]))
-
-
 def draws_of_the_authors_software(block: Block, folder: Path) -> None:
     (comment,) = re.findall(r"# (\[.*\])$", block.content, flags=re.M)
     assert executed(block)["_"] == ast.literal_eval(comment)
@@ -186,18 +178,6 @@ def messages_of_a_run(block: Block, folder: Path) -> None:
     content_ = block.content.replace("messages.mcap", str(run.folder / "messages.mcap"))
     executed(block._replace(content=content_), print=lambda *words: printed.append(words))
     assert len(printed) == 6  # two agents, three frames
-
-
-def expired_credentials(block: Block, folder: Path) -> None:
-    now = datetime.now(UTC)
-    begins, ends = now - timedelta(hours=2), now - timedelta(hours=1)
-    credentials = Authority("r").issue("infra_1", begins=begins, ends=ends).write(folder)
-    content = block.content.replace("credentials/infra_1", str(credentials)).replace(
-        "tls/router:7447", "tls/127.0.0.1:9"
-    )
-    sentences = executed(block._replace(content=content))["_"]
-    assert "certificate expired" in sentences[0]
-    assert "certificate expired" in block.content
 
 
 def study_of_ones_own(block: Block, folder: Path) -> None:
@@ -285,39 +265,37 @@ def message_of_ros(block: Block, folder: Path) -> None:
     assert decode(key.type_name, names["payload"]).header.frame_id == "map"
 
 
-def metric_of_messages(block: Block, folder: Path) -> None:
-    (metric,) = [value for name, value in executed(block).items() if name == "TracksPerMessage"]
-    assert metric().per_message(0, "ego", {"id": np.array([3, 4])}) == 2
-
-
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
-    "attacks.md": [draws_of_the_authors_software],
-    "driving.md": [whole_scenario, whole_scenario, played_scenario],
-    "exports.md": [None],  # test_export_labels.py
-    "faults.md": [*[part_of_a_scenario] * 3, random_faults, fault_of_ones_own],
-    "fusion.md": [whole_scenario],
-    "links.md": [part_of_a_scenario, None],  # test_page_examples.py
-    "metrics.md": [None, metric_of_messages],  # test_facts_of_pages.py
-    "network.md": [whole_scenario],
-    "python.md": [None] * 13,  # test_page_examples.py
-    "recording.md": [messages_of_a_run],
+    "explanation-determinism.md": [simulated_run] * 3,
+    "explanation-driving.md": [whole_scenario, played_scenario],
+    "explanation-metrics-and-causes.md": [None],  # test_facts_of_pages.py
+    "explanation-security.md": [attempts_of_ones_own],
+    "explanation-threat-model.md": [draws_of_the_authors_software],
+    "explanation-tracking-and-fusion.md": [tracking_by_hand, whole_scenario],
+    "explanation-v2x.md": [whole_scenario],
+    "how-to-export.md": [None],  # test_export_labels.py
+    "how-to-hosts.md": [whole_scenario],
+    "how-to-python.md": [None] * 13,  # test_page_examples.py
+    "how-to-record-and-replay.md": [messages_of_a_run],
+    "how-to-ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
+    "how-to-scenarios.md": [
+        whole_scenario,
+        part_of_a_scenario,
+        None,  # test_page_examples.py
+        part_of_a_scenario,
+        random_faults,
+        results_of_a_node,
+    ],
+    "how-to-sensors.md": [None] * 3,  # test_page_examples.py
+    "how-to-studies.md": [study_of_ones_own, kind_of_ones_own, study_with_a_search],
     "ref-detections-and-arrays.md": [None] * 2,  # test_page_examples.py
-    "ros2.md": [router_of_ros, part_of_a_scenario, message_of_ros],
-    "scenarios.md": [whole_scenario, results_of_a_node],
-    "searches.md": [study_with_a_search],
-    "security.md": [attempts_of_ones_own, expired_credentials],
-    "sensors.md": [None] * 3,  # test_page_examples.py
-    "simulation.md": [simulated_run] * 4,
-    "studies.md": [study_of_ones_own, kind_of_ones_own],
-    "tracking.md": [tracking_by_hand],
-    "v2x.md": [whole_scenario],
 }
 
 
 #: Pages whose files are run by tests of their own.
 _WALK_THROUGHS = """
-    animations extending interception replay plugins ros2_nodes stone_soup
+    how-to-export how-to-intercept how-to-record-and-replay how-to-ros2 how-to-stone-soup how-to-write-a-part
     tutorial-defence tutorial-driving tutorial-first-attack tutorial-own-data
 """
 WALK_THROUGHS = [f"{name}.md" for name in _WALK_THROUGHS.split()]

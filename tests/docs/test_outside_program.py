@@ -1,6 +1,5 @@
-"""The example of docs/plugins.md runs: a program that uses only Zenoh makes an agent's tracks and hears the picture."""
+"""The example in docs/examples/ runs: a program that uses only Zenoh makes an agent's tracks and hears the picture."""
 
-import re
 import socket
 import subprocess
 import sys
@@ -19,8 +18,8 @@ from mast_zenoh.mesh.session import open_client
 from mast_zenoh.messages import codec
 from mast_zenoh.run_folder.recording.reader import read
 
-PAGE = (Path(__file__).parents[2] / "docs" / "plugins.md").read_text(encoding="utf-8")
-FILES = dict(re.findall(r"^```python file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+FILES = {name: (EXAMPLES / name).read_text("utf-8") for name in ("zenoh_agent.py", "tracker.py", "with_tracker.py")}
 FRAMES = 12
 TRACKS = "agent/infra_1/tracks"
 

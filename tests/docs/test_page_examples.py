@@ -19,7 +19,7 @@ from mast_zenoh.wiring.model import Wiring
 
 DOCS = Path(__file__).parents[2] / "docs"
 RADAR = "agent/infra_1/detections/radar"
-STONE_SOUP = (DOCS / "stone_soup.md").read_text(encoding="utf-8")
+STONE_SOUP = (DOCS / "how-to-stone-soup.md").read_text(encoding="utf-8")
 COMMANDS = [shlex.split(line) for line in re.findall(r"^    mast (.*)$", STONE_SOUP, flags=re.M)]
 
 needs_stone_soup = pytest.mark.skipif(
@@ -49,7 +49,8 @@ def names_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Played:
 
 
 def test_the_link_of_the_page_is_on_the_detections_of_the_ego() -> None:
-    (example,) = re.findall(r"^## On other wires\n.*?^```python\n(.*?)^```$", page("links"), flags=re.S | re.M)
+    text = page("how-to-scenarios")
+    (example,) = re.findall(r"^### On other wires\n.*?^```python\n(.*?)^```$", text, flags=re.S | re.M)
     names: dict[str, Any] = {}
     exec(example, names)
     path, content = scenario.load("baseline", ["n_infrastructure=1"])
@@ -65,7 +66,7 @@ def test_the_blocks_on_scene_arrays_run(names_of: Played) -> None:
 
 
 def test_the_blocks_on_sensors_run(names_of: Played) -> None:
-    names = names_of("sensors")
+    names = names_of("how-to-sensors")
     times = names["road"].agent("infra_1").detections.column("time_s").unique().to_pylist()
     assert times[:3] == pytest.approx([0.07, 0.27, 0.47])
     pole = names["run"].agent("infra_1")
@@ -100,7 +101,7 @@ def test_the_options_of_the_default_tracker_are_listed_with_their_defaults() -> 
 @pytest.mark.heavy
 @pytest.mark.timeout(300)
 def test_the_blocks_on_the_python_interface_run(names_of: Played, tmp_path: Path) -> None:
-    names = names_of("python")
+    names = names_of("how-to-python")
     assert (tmp_path / "birdseye.png").stat().st_size > 10_000
     assert names["mine"].attacks.num_rows > names["run"].attacks.num_rows
     assert names["study"].table().num_rows > 100

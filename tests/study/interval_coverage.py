@@ -1,6 +1,6 @@
 """Simulated coverage of the confidence intervals of studies.
 
-    python tests/study/interval_coverage.py     prints the table of docs/studies.md
+    python tests/study/interval_coverage.py     prints a table, in per cent
 
 Each cell is the share, in per cent, of 10,000 simulated studies whose 95 % interval contains the true mean. The
 intervals come from `mast_zenoh.study.statistics`, which also computes the tables of studies.
@@ -154,7 +154,7 @@ def table() -> dict[str, dict[tuple[int, int], float]]:
 
 
 def as_markdown(coverages: dict[str, dict[tuple[int, int], float]]) -> str:
-    """The table of docs/studies.md."""
+    """A row per world, a column per number of scenes and seeds, in per cent."""
     cells = [(scenes, seeds) for scenes in SCENES for seeds in SEEDS]
     lines = ["| scenes \u00d7 seeds | " + " | ".join(f"{scenes} \u00d7 {seeds}" for scenes, seeds in cells) + " |"]
     lines.append("|---|" + "---:|" * len(cells))

@@ -23,7 +23,7 @@ from mast_zenoh.study import definition
 #: m, as in `CoordinatedAttack`.
 MAX_RANGE_M = 70.0
 #: Commands of the page that compares the study with the paper.
-PAGE = Path(__file__).parents[2] / "docs" / "attacks.md"
+PAGE = Path(__file__).parents[2] / "docs" / "explanation-threat-model.md"
 COMMANDS = re.findall(r"^\$ mast study monte_carlo (.*)$", PAGE.read_text(encoding="utf-8"), flags=re.M)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import interval_coverage
 import numpy as np
 import pytest
@@ -100,8 +98,6 @@ def test_the_interval_of_an_effective_number_of_trials_is_between_those_of_whole
     assert widths[0] > widths[1] > widths[2]
 
 
-PAGE = Path(__file__).parents[2] / "docs" / "studies.md"
-
 Coverage = dict[str, dict[tuple[int, int], float]]
 
 
@@ -142,18 +138,6 @@ def test_intervals_of_added_missed_objects_cover_at_least_93_per_cent_with_any_n
 def test_three_correlated_scenes_of_twenty_seeds_are_covered(simulated: Coverage) -> None:
     """A bootstrap that treats scenes and seeds as independent covers 71 % here."""
     assert 93.0 <= simulated["normal, scenes of a seed correlate at 0.98"][3, 20] <= 97.0
-
-
-@pytest.mark.heavy
-def test_page_shows_the_simulated_coverage(simulated: Coverage) -> None:
-    """Within 0.3, as another NumPy version may draw other samples."""
-    lines = [line.strip("| \n").split(" | ") for line in PAGE.read_text("utf-8").splitlines() if line.startswith("| ")]
-    documented = {line[0].strip(): [cell.strip(" |") for cell in line[1:]] for line in lines}
-    for line in interval_coverage.as_markdown(simulated).splitlines()[2:]:
-        name, *cells = (cell.strip() for cell in line.strip("|").split("|"))
-        assert name in documented, name
-        values = [float(cell) for cell in documented[name] if cell]
-        assert values == pytest.approx([float(cell) for cell in cells if cell], abs=0.3), name
 
 
 def test_shares_of_pictures_and_of_the_channel_end_at_one() -> None:

@@ -153,7 +153,7 @@ def test_trackeval_reads_the_boxes_of_mot_from_above(mot: Path, record: PlainRec
 def test_the_example_of_the_page_evaluates_the_folder(
     mot: Path, record: PlainRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "exports.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "how-to-export.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"^```python\n(.*?)^```$", page, flags=re.S | re.M)
     shutil.copytree(mot, tmp_path / "mine_mot")
     monkeypatch.chdir(tmp_path)

@@ -472,7 +472,7 @@ def test_a_map_that_cannot_be_is_refused_with_its_place(entries: dict[str, Any],
         RosBag(path=detected, topics=bag_map(**entries)).record(0, None)
 
 
-PAGE = Path(__file__).parents[3] / "docs" / "scenes_rosbag.md"
+PAGE = Path(__file__).parents[3] / "docs" / "how-to-data-sets.md"
 BLOCKS = re.findall(r"^```toml\n(.*?)^```$", PAGE.read_text(), flags=re.S | re.M)
 FIRST, TIERS = map(tomllib.loads, BLOCKS)
 

@@ -1,4 +1,4 @@
-"""The example of docs/ros2_nodes.md runs: a node by zenoh-ros2-sdk in a process of its own, and its scenario."""
+"""The example of docs/how-to-ros2.md runs: a node by zenoh-ros2-sdk in a process of its own, and its scenario."""
 
 import re
 import subprocess
@@ -14,8 +14,10 @@ from mast_zenoh.mesh.session import open_router
 from mast_zenoh.messages import codec
 from mast_zenoh.run_folder.recording.reader import read
 
-PAGE = (Path(__file__).parents[3] / "docs" / "ros2_nodes.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[3] / "docs"
+PAGE = (DOCS / "how-to-ros2.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"^```python file=(\S+)\n(.*?)^```$", PAGE, flags=re.S | re.M))
+FILES["near.py"] = (DOCS / "examples" / "near.py").read_text(encoding="utf-8")
 
 
 @pytest.mark.heavy

@@ -27,7 +27,7 @@ from mast_zenoh.run_folder.recording.format import JOINED, LEFT, REWIRED, Record
 from mast_zenoh.run_folder.recording.reader import events, first_missing_frame, read
 from mast_zenoh.run_folder.recording.writer import MessageLog
 
-PAGE = Path(__file__).parents[3] / "docs" / "recording.md"
+PAGE = Path(__file__).parents[3] / "docs" / "how-to-record-and-replay.md"
 
 
 @pytest.mark.parametrize("chunk_bytes", [1 << 20, 2000, 1], ids=["one chunk", "some chunks", "a chunk a message"])
