@@ -16,6 +16,7 @@ from reference.exit_codes import exit_codes_page
 from reference.maps import maps_page
 from reference.messages import messages_page
 from reference.python_api import python_page
+from reference.scenario import scenario_page
 
 import mast_zenoh
 from mast_zenoh.layers import LAYERS
@@ -42,6 +43,7 @@ PAGES = {
     "ref-maps.md": maps_page,
     "ref-messages.md": messages_page,
     "ref-python.md": python_page,
+    "ref-scenario.md": scenario_page,
 }
 
 

@@ -86,10 +86,11 @@ class Evaluation:
     driving: settings for the driving consequences of an estimate
     skip_first, skip_last: frames left out of the summary at the beginning and at the end, because tracks need some
              frames to begin with; kept when they would be more than half of the run
-    picture_age_s: s, for how long an agent uses a picture when no newer one arrives; picture_ages_s: by agent
+    picture_age_s: s, for how long an agent uses a picture when no newer one arrives
+    picture_ages_s: s, the same by agent
     estimate_ages_s: s, by agent whose car is driven, the greatest age of an estimate that its driver uses
     take_over_s, hold_s: s, of the world of driven cars: from when on, and for how long, they obey commands
-    car_limits: what they can do
+    car_limits: what driven cars can do
     attribution, cut_off: settings for the causes of errors
     consistency: settings for the comparison of errors with covariances
     faults:  of the timeline by agent, for runs with trust

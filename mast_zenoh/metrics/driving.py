@@ -54,8 +54,8 @@ class SafeDistance(BrakingRule):
     Definition 1: the vehicle accelerates for its response time, then brakes with at least its minimum deceleration; the
     object ahead brakes with its maximum deceleration. Approaching objects count as stationary.
 
-    response_s: s, response time;  acceleration: m/s2, maximum during the response time
-    braking:    m/s2, minimum of the vehicle after it;  braking_ahead: m/s2, maximum of the object ahead
+    response_s: s, response time;  acceleration: m/s², maximum during the response time
+    braking:    m/s², minimum of the vehicle after it;  braking_ahead: m/s², maximum of the object ahead
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class TimeToCollision(BrakingRule):
     threshold is from van der Horst, A time-based analysis of road user behaviour in normal and critical encounters
     (TU Delft, 1990), below which an encounter is critical.
 
-    threshold_s: s
+    threshold_s: s, below which it brakes
     """
 
     def __init__(self, *, threshold_s: float = 1.5) -> None:

@@ -20,7 +20,7 @@ class Finding:
     kind:  which phrase of phrases.j2 says it
     who:   the nodes, agents or cars that it is about
     what:  which one of its kind: an effect, an error, a state, a reason
-    value: how much, in `unit`;  other: the same of the run `than`, or of what the phrase names beside it
+    value: how much;  unit: of the value;  other: the same of the run `than`, or of what the phrase names beside it
     where: an estimate of an agent, or wires
     when:  s, the first and the last moment
     cause: the causes that were measured, or else what explains it

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from reference import scenario
 from reference.classes import KINDS, shipped
 
 from mast_zenoh.api.catalogue import Entry
@@ -25,3 +26,10 @@ def test_every_class_is_listed_and_each_of_its_parameters_has_a_meaning(kind: st
         assert not [each.name for each in entry.parameters if not each.words], (
             f"{entry.name}: describe them as `name: …`"
         )
+
+
+def test_every_parameter_of_a_node_and_of_its_parts_has_a_meaning() -> None:
+    parts = list(scenario.parts())
+    assert not [f"{part.heading}: {each.name}" for part in parts for each in part.parameters if not each.words]
+    roles = {cls.role for cls in scenario.node_classes()}
+    assert roles >= {"agent", "broker", "command_center", "peer", "driver", "adversary", "evaluator", "link"}

@@ -15,7 +15,7 @@ from mast_zenoh.api.catalogue import unit_of
 _ENTRY = re.compile(r"^(?=\S)([^:\n]+):\s+(.*(?:\n +.*)*)$", re.MULTILINE)
 #: The end of a sentence: not that of "et al.", "e.g." or an initial.
 _END = re.compile(r"(?<!\bal)(?<!\bno)(?<!\b[A-Z])\.\s+(?=[A-Z\"])")
-_YEAR = re.compile(r"\b(?:19|20)\d\d\b|arXiv")
+_IS_SOURCE = re.compile(r"^Sources?: |\b(?:19|20)\d\d\b|arXiv")
 
 
 class Described(NamedTuple):
@@ -46,4 +46,4 @@ def sources(cls: type) -> list[str]:
     text = inspect.cleandoc(vars(cls).get("__doc__") or "")
     paragraphs = [part for part in text.split("\n\n")[1:] if not re.match(r"\w+(, \w+)*: ", part)]
     sentences = [sentence for part in paragraphs for sentence in _END.split(" ".join(part.split()))]
-    return [sentence.rstrip(".") + "." for sentence in sentences if _YEAR.search(sentence)]
+    return [sentence.rstrip(".:") + "." for sentence in sentences if _IS_SOURCE.search(sentence)]
