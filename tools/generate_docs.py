@@ -15,7 +15,9 @@ from reference.command_line import command_line_page
 from reference.exit_codes import exit_codes_page
 from reference.maps import maps_page
 from reference.messages import messages_page
+from reference.metrics import metrics_page
 from reference.python_api import python_page
+from reference.run_folder import run_folder_page
 from reference.scenario import scenario_page
 
 import mast_zenoh
@@ -42,7 +44,9 @@ PAGES = {
     "ref-exit-codes.md": exit_codes_page,
     "ref-maps.md": maps_page,
     "ref-messages.md": messages_page,
+    "ref-metrics.md": metrics_page,
     "ref-python.md": python_page,
+    "ref-run-folder.md": run_folder_page,
     "ref-scenario.md": scenario_page,
 }
 

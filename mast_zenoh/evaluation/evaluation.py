@@ -54,6 +54,20 @@ def attacks(effects: Effects, agreement: Agreement, roles: Mapping[str, str], pe
 
     Sorted by interposer, wire, frame and sequence number.
     Objects of a message that was withheld, forged or reframed as a whole have no separate rows.
+
+    Columns:
+    interposer, role: the node, and its role
+    wire, message: key of the wire, and its message type
+    before_subscriber: the only subscriber that the interposer serves; empty: all
+    frame, seq: of the message; -1 if they cannot be read
+    effect: what was done, see docs/effects.md
+    id: of the object in its message; -1: none
+    before_x, before_y, before_z, after_x, after_y, after_z: m, places in the world; missing if there is no such place
+    vx, vy, vz: m/s, velocity in the world
+    columns: the columns that differ, separated by spaces
+    delay_s: by which the message is later; missing: none
+    reported: whether the interposer reported this effect
+    label: number that the report gave to the target, or row of the link's rule; -1: none
     """
     rows = np.flatnonzero(~effects.whole & counted)
     of_passages = [
@@ -292,6 +306,10 @@ class ScoredFrames:
         """The rows of frames from `first` on, before `end`: "objects" and "attacks", with trust those about it.
 
         every_series: series with the same messages as others have rows of their own
+
+        Columns:
+        cause: of an error, see docs/metrics.md; empty: none
+        by: the adversary that caused it; several are joined by `+`
         """
         data, effects = self.data, self.effects
         counted = self.counted_effects(first, end)

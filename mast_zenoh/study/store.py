@@ -1,4 +1,16 @@
-"""The folder of a study: one file per finished trial, and tables of all, written atomically."""
+"""The folder of a study: one file per finished trial, and tables of all, written atomically.
+
+Files:
+study.json: status, configurations, versions, and every trial
+report.html: the study as one page that needs no other file
+table.md, table.tex, table.csv: the estimates: as Markdown, as LaTeX with `booktabs`, and with all digits
+results.parquet: a row per trial and number
+frames.parquet: the tables per frame of all trials
+increments.png, increments_mission.png, success.png: what attacks add, and how often they succeed; also as PDF
+KIND.md, KIND.csv, KIND.tex: tables of the kind of study, if it has one; its figures have its name, too
+trials/DIGEST.parquet: a file per trial: the columns of metrics.parquet, and metrics.json in the schema's metadata
+runs/: the run folder of each trial; with --record
+"""
 
 from __future__ import annotations
 
@@ -121,7 +133,15 @@ class Store:
         )
 
     def write_status(self, study: Study, trials: Sequence[Trial], failures: Mapping[str, str], status: str) -> None:
-        """Write study.json: the study's configurations and trials, and its status; with failures, `ok` is `failed`."""
+        """Write study.json: the study's configurations and trials, and its status; with failures, `ok` is `failed`.
+
+        Keys:
+        name, status, baseline: of the study; as in run.json; label of a configuration
+        configurations: by label, `scenario` and `settings`
+        environment: versions of what the numbers depend on
+        runtime, frames: of each trial
+        trials: each with `digest`, configuration, scene, seed and command; `run`, its folder; `error`, if it failed
+        """
         content = {
             "name": study.name,
             "status": "failed" if failures and status == ending.OK else status,

@@ -323,7 +323,14 @@ class Wiring:
         return Ports(inputs, outputs, self.codecs, {leg.publisher.port: wire.message for wire, leg in own})
 
     def to_json(self) -> dict[str, Any]:
-        """The content of wiring.json; `from_json` reads it back."""
+        """The content of wiring.json; `from_json` reads it back.
+
+        Keys:
+        wires: each with `key`, `subject`, `message`, `codec`, properties, `publisher`, `subscribers`, `interposers`,
+            `listeners`, and `legs`: `key`, `from`, `to` with their ports, and `before` on a branch to one subscriber
+        overhearers: `node` and `port` that receive every key
+        nodes: by name, `role`, and what its inputs affect
+        """
 
         def leg_json(leg: Leg, before: str = "") -> dict[str, Any]:
             return {

@@ -1,7 +1,7 @@
 """What docstrings say of sources, and of the keys and columns that a function writes.
 
 A function that writes a document or a table describes each key or column in its docstring, after a line `Keys:` or
-`Columns:`, as `name: text` or `name, name: text`; further lines of an entry are indented.
+`Columns:`, and a module its `Files:`, as `name: text` or `name, name: text`; further lines of an entry are indented.
 """
 
 from __future__ import annotations
@@ -11,15 +11,17 @@ import re
 from typing import NamedTuple
 
 from mast_zenoh.api.catalogue import unit_of
+from reference import table
 
 _ENTRY = re.compile(r"^(?=\S)([^:\n]+):\s+(.*(?:\n +.*)*)$", re.MULTILINE)
+_UNIT = re.compile(r"(0 to 1|m/s[²³]?|rad|ms|m|s), ")
 #: The end of a sentence: not that of "et al.", "e.g." or an initial.
 _END = re.compile(r"(?<!\bal)(?<!\bno)(?<!\b[A-Z])\.\s+(?=[A-Z\"])")
 _IS_SOURCE = re.compile(r"^Sources?: |\b(?:19|20)\d\d\b|arXiv")
 
 
 class Described(NamedTuple):
-    """A key or a column, or several of one kind."""
+    """A key, a column or a file, or several of one kind."""
 
     names: tuple[str, ...]
     unit: str
@@ -28,17 +30,28 @@ class Described(NamedTuple):
 
 def entries(of: object, head: str) -> list[Described]:
     """The entries after the line `head` of a docstring, up to the next blank line. Raises ValueError without any."""
-    text = inspect.getdoc(of) or ""
-    _, found, block = text.partition(f"{head}:\n")
-    described = []
-    for names, words in _ENTRY.findall(block.partition("\n\n")[0]):
-        meaning = " ".join(words.split())
-        parts = tuple(names.split(", "))
-        unit = unit_of(parts[0].rpartition(".")[2], meaning)
-        described.append(Described(parts, unit, meaning.removeprefix(f"{unit}, ") if unit else meaning))
-    if not found or not described:
+    _, _, block = (inspect.getdoc(of) or "").partition(f"{head}:\n")
+    found = [_described(names, " ".join(words.split())) for names, words in _ENTRY.findall(block.partition("\n\n")[0])]
+    if not found:
         raise ValueError(f"{of}: found no `{head}:` with entries in the docstring")
-    return described
+    return found
+
+
+def _described(names: str, meaning: str) -> Described:
+    parts = tuple(names.split(", "))
+    if leading := _UNIT.match(meaning):
+        return Described(parts, leading[1], meaning[leading.end() :])
+    units = filter(None, (unit_of(name.rpartition(".")[2], "") for name in parts))
+    return Described(parts, ", ".join(dict.fromkeys(units)), meaning)
+
+
+def described_table(of: object | list[object], head: str) -> str:
+    """A table of the entries of one docstring or of several."""
+    every = [each for one in (of if isinstance(of, list) else [of]) for each in entries(one, head)]
+    rows = [(", ".join(f"`{name}`" for name in each.names), each.unit, each.meaning) for each in every]
+    if head == "Files":
+        return table(("file", "content"), ((names, meaning) for names, _, meaning in rows))
+    return table((head.lower().removesuffix("s"), "unit", "meaning"), rows)
 
 
 def sources(cls: type) -> list[str]:
