@@ -271,7 +271,7 @@ def columns(trial: Trial, trial_numbers: Sequence[Number]) -> Table:
     scene, seed: of the trial
     who: agent, car or adversary; `all`, or `compromised` for all compromised agents together
     estimator: an estimate, or `achieved`, `driven`, `defence`, `pictures`, `channel`, or the name of a kind of study
-    metric: name of a number of metrics.json; nested names are joined: `fp_split.attack`
+    metric: name of a number of metrics.json; nested names are joined with dots, as in fp_split.attack
     value: mean over frames, or of the run
     std: over frames; missing for numbers of a whole run
     frames: number of frames
