@@ -25,7 +25,7 @@ KEYS = {
     "channel": "configuration of the radio channel of peers, None: nothing is lost",
     "evaluator": "configuration of the evaluator",
     "drivers": "agent to configuration of the driver of its car",
-    "world": "options of the simulator that drivers command; it may not be there without them",
+    "world": "options of the simulator that drivers command; only together with `drivers`",
     "adversaries": "name to configuration of an adversary; agent=[]: it attacks nobody",
     "coordinator": "configuration of what directs the adversaries, None: nothing",
     "nodes": "name to configuration of a further node: its role, its file and its parameters",

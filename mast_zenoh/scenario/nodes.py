@@ -34,8 +34,8 @@ _DEFAULT_ON_EXIT = dict.fromkeys(("agent", "peer", "driver", "adversary", "coord
 CONTROLS = {
     "type": "name of the class in the node's file; needed if the file has several",
     "file": "a node file next to the scenario, or a shipped one; by default that of the role",
-    "on_exit": f"what the run does when the node's process ends: {', '.join(ON_EXIT)}; by default continue for agents, "
-    "peers, drivers, adversaries, links and the coordinator, and fail for all others",
+    "on_exit": f"what the run does when the node's process ends: {', '.join(ON_EXIT)}; by default continue for the "
+    f"roles {', '.join(_DEFAULT_ON_EXIT)}, and fail for all others",
     "role": "of the node, in `nodes`",
 }
 

@@ -53,11 +53,21 @@ def names(writers: str | Sequence[str], head: str = "Keys") -> set[str]:
     return {name for writer in of for each in entries(resolve_name(writer), head) for name in each.names}
 
 
-@pytest.fixture(scope="module", params=["attack_during_partition", "coordinated", "defended", "driving", "congested"])
+#: Scenarios whose runs have, all together, everything that a run can have, each with settings.
+RUNS = {
+    "attack_during_partition": (),
+    "coordinated": (),
+    "defended": (),
+    "driving": (),
+    "congested": ("background=0", "n_mobile=2", "n_infrastructure=2"),
+}
+
+
+@pytest.fixture(scope="module", params=sorted(RUNS))
 def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folders of runs that have, all together, everything that a run can have."""
+    """The folder of each of these runs."""
     out = tmp_path_factory.mktemp("run") / request.param
-    path, loaded = scenario_files.load(request.param)
+    path, loaded = scenario_files.load(request.param, RUNS[request.param])
     resolved = scenario_files.resolve(path, loaded, frames=24, record=True)
     launcher.run(resolved, out, runtime="inproc")
     return out
