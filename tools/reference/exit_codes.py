@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from mast_zenoh import errors
 from reference import page, table
+from reference.command_line import own_exit_codes
 
 _AFTER = """\
-`mast diff` exits with 0 if two runs are equal, 1 if they differ, 2 if it cannot compare them. `mast doctor` exits with
-0 if this machine has what runs need, 1 if not; optional parts may be missing.
-
 [endings.md](endings.md) lists, for each way in which a run can end, its status and what is left on the disk.
 """
 
@@ -21,7 +19,9 @@ def exit_codes_page() -> str:
     introduction = (
         "Look up what a command's exit code means. [troubleshooting.md](troubleshooting.md) explains what to do."
     )
-    return page("Exit codes", "mast_zenoh/errors.py", introduction, [codes, _AFTER])
+    own = "".join(f"- `{command}` {words[0].lower()}{words[1:]}\n" for command, words in own_exit_codes())
+    sections = [codes, "Commands with codes of their own:\n", own, _AFTER]
+    return page("Exit codes", "mast_zenoh/errors.py", introduction, sections)
 
 
 def error_types(base: type[errors.MastError] = errors.MastError) -> list[type[errors.MastError]]:
