@@ -8,6 +8,9 @@ results.parquet: a row per trial and number
 frames.parquet: the tables per frame of all trials
 increments.png, increments_mission.png, success.png: what attacks add, and how often they succeed; also as PDF
 KIND.md, KIND.csv, KIND.tex: tables of the kind of study, if it has one; its figures have its name, too
+search.md, search.csv, search.tex, search.json: of a study with a search: its result
+candidates.csv: of such a study: every candidate
+attempts.md, attempts.csv: of a study of security levels: what each attempt achieved
 trials/DIGEST.parquet: a file per trial: the columns of metrics.parquet, and metrics.json in the schema's metadata
 runs/: the run folder of each trial; with --record
 """
@@ -166,7 +169,16 @@ class Store:
         run_folder.write_json(self.status_file, content)
 
     def save(self, outcome: TrialOutcome) -> None:
-        """Store the outcome of a trial."""
+        """Store the outcome of a trial.
+
+        Keys:
+        digest: of all that the numbers depend on
+        configuration, scene, seed, command: which trial it is; the command that runs it alone
+        compromised: names of compromised agents
+        cpu_s: processor time
+        warning: handlers that failed, if that is allowed; empty: none
+        metrics: the content of metrics.json
+        """
         metadata = {
             "digest": outcome.trial.digest,
             **outcome.trial.summary(),

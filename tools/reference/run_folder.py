@@ -49,6 +49,8 @@ STUDY_TABLES = {
     "results.parquet": ("mast_zenoh.study.numbers:columns",),
     "frames.parquet": ("mast_zenoh.study.numbers:frames",),
     "table.csv": ("mast_zenoh.show.tables.study:as_csv",),
+    "KIND.csv, search.csv": ("mast_zenoh.show.tables.text_table:numbers_of_rows",),
+    "candidates.csv": ("mast_zenoh.study.search.report:candidates_csv",),
 }
 _STUDY = """\
 ## The folder of a study
@@ -82,6 +84,8 @@ def _sections() -> Iterator[str]:
     yield described_table(resolve_name("mast_zenoh.study.store"), "Files")
     yield "### study.json\n"
     yield described_table(resolve_name("mast_zenoh.study.store:Store.write_status"), "Keys")
+    yield "### trials/DIGEST.parquet\n\nThe columns of metrics.parquet, and in the schema's metadata as JSON:\n"
+    yield described_table(resolve_name("mast_zenoh.study.store:Store.save"), "Keys")
     yield from _tables(STUDY_TABLES)
 
 
