@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import re
+from pkgutil import resolve_name
 from typing import NamedTuple
 
 from mast_zenoh.api.catalogue import unit_of
@@ -45,9 +46,9 @@ def _described(names: str, meaning: str) -> Described:
     return Described(parts, ", ".join(dict.fromkeys(units)), meaning)
 
 
-def described_table(of: object | list[object], head: str) -> str:
-    """A table of the entries of one docstring or of several."""
-    every = [each for one in (of if isinstance(of, list) else [of]) for each in entries(one, head)]
+def described_table(head: str, *places: str) -> str:
+    """A table of the entries of the docstrings at some places, as `module:name`."""
+    every = [each for place in places for each in entries(resolve_name(place), head)]
     rows = [(", ".join(f"`{name}`" for name in each.names), each.unit, each.meaning) for each in every]
     if head == "Files":
         return table(("file", "content"), ((names, meaning) for names, _, meaning in rows))
@@ -57,6 +58,6 @@ def described_table(of: object | list[object], head: str) -> str:
 def sources(cls: type) -> list[str]:
     """The sentences of a class's docstring that name a publication, without descriptions of parameters."""
     text = inspect.cleandoc(vars(cls).get("__doc__") or "")
-    paragraphs = [part for part in text.split("\n\n")[1:] if not re.match(r"\w+(, \w+)*: ", part)]
+    paragraphs = [part for part in text.split("\n\n")[1:] if not re.match(r"(?!Sources?:)\w+(, \w+)*: ", part)]
     sentences = [sentence for part in paragraphs for sentence in _END.split(" ".join(part.split()))]
     return [sentence.rstrip(".:") + "." for sentence in sentences if _IS_SOURCE.search(sentence)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from pkgutil import resolve_name
 
 from mast_zenoh.api.catalogue import summary
 from mast_zenoh.metrics.causes import CAUSES
@@ -66,7 +65,7 @@ def _sections() -> Iterator[str]:
     yield f"Causes: {', '.join(f'`{cause}`' for cause in CAUSES)}.\n"
     for heading, place, *writers in PARTS:
         yield f"## {heading}\n\n{place}\n"
-        yield described_table([resolve_name(writer) for writer in writers], "Keys")
+        yield described_table("Keys", *writers)
 
 
 def _row(measure: Measure) -> tuple[str, ...]:

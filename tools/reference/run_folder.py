@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pkgutil import resolve_name
 
 from mast_zenoh.api.catalogue import parameters_of
 from mast_zenoh.run_folder.finding import Finding
@@ -73,24 +72,24 @@ def run_folder_page() -> str:
 
 def _sections() -> Iterator[str]:
     yield "## The folder of a run\n"
-    yield described_table(resolve_name("mast_zenoh.runs.files"), "Files")
+    yield described_table("Files", "mast_zenoh.runs.files")
     for name, writer in DOCUMENTS.items():
         yield f"### {name}\n"
-        yield described_table(resolve_name(writer), "Keys")
-    yield "### findings.json\n\nA list. `notices` of run.json have the same keys, without those that say nothing.\n"
+        yield described_table("Keys", writer)
+    yield "### findings.json\n\nA list, each item also with `text`, its sentence. `notices` of run.json are the same.\n"
     yield parameter_table(parameters_of(Finding))
     yield from _tables(TABLES)
     yield _STUDY
-    yield described_table(resolve_name("mast_zenoh.study.store"), "Files")
+    yield described_table("Files", "mast_zenoh.study.store")
     yield "### study.json\n"
-    yield described_table(resolve_name("mast_zenoh.study.store:Store.write_status"), "Keys")
+    yield described_table("Keys", "mast_zenoh.study.store:Store.write_status")
     yield "### trials/DIGEST.parquet\n\nThe columns of metrics.parquet, and in the schema's metadata as JSON:\n"
-    yield described_table(resolve_name("mast_zenoh.study.store:Store.save"), "Keys")
+    yield described_table("Keys", "mast_zenoh.study.store:Store.save")
     yield from _tables(STUDY_TABLES)
 
 
 def _tables(tables: dict[str, tuple[str, ...]]) -> Iterator[str]:
     for name, writers in tables.items():
         yield f"### {name}\n"
-        yield described_table([resolve_name(writer) for writer in writers], "Columns")
+        yield described_table("Columns", *writers)
         yield _FURTHER.get(name, "")
