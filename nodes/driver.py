@@ -40,7 +40,7 @@ class DriverNode(Node):
     driver:   how it drives
     estimate: one of ESTIMATES
     estimate_age_s: s, the greatest age of an estimate that is used; without one it brakes
-    braking:  m/s^2, without an estimate
+    braking:  m/s², without an estimate
     limits:   what the car can do, as it believes; None: CarLimits(), or in a scenario those of the world
     veto:     whether the agent's own sensors overrule its mission estimate: it drives by its own tracks, and by what
         else is in the mission estimate unless they see through its place

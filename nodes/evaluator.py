@@ -79,9 +79,10 @@ class KeyUse(NamedTuple):
 class Evaluator(Node):
     """Scores the run.
 
-    agents:  their names
-    scorer:  None: Scorer()
-    attribution, cut_off: rules for the causes of errors, None: AttributionLimits(), CutOff()
+    agents:  names of all agents
+    scorer:  compares estimates with the truth; None: Scorer()
+    attribution: rules for the causes of errors, None: AttributionLimits()
+    cut_off: rules for objects that disconnected agents alone know, None: CutOff()
     consistency: how errors are compared with covariances, None: Consistency()
     faults:  of the timeline by agent: type, beginning and end in s; None: none
     played_drivers: of a replay, see `driven.driver_ports`; None: none is played

@@ -50,7 +50,8 @@ class ReportRow(NamedTuple):
 class Link(Node):
     """Applies the rules of an agent's link.
 
-    agent: the agent of the link; rules_up, rules_down: rules for messages from the agent, and to the agent
+    agent: the agent of the link; rules_up: rules for messages from the agent
+    rules_down: rules for messages to the agent
     rules_sensor: rules for the agent's detections, where a map inserts the link there; None: `rules_up`
     rules_of_sensors: by name, those for the detections of further sensors; for the others, `rules_sensor`
     peer: the agent's peer, before which the link is on what it hears; empty: none

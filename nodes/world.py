@@ -31,9 +31,9 @@ class WorldSimulator(Source):
     scene:     the scene itself, which is stepped
     frames:    number of frames to play
     drivers:   by car, the name of its driver's node
-    take_over_s: s; until then the cars drive as in the prepared scene, while the trackers begin
+    take_over_s: s, until which the cars drive as in the prepared scene, while the trackers begin
     hold_s:    s, for which a car without commands goes on as it was told; then it brakes
-    braking:   m/s^2, of a car without commands
+    braking:   m/s², of a car without commands
     limits:    what the cars can do; None: CarLimits()
 
     Raises ConfigurationError, at its start, for a scene that cannot be stepped, and for a name that is no car of it.

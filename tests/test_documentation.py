@@ -6,6 +6,7 @@ from pathlib import Path
 
 import generate_docs
 import pytest
+from reference.exit_codes import error_types
 
 from mast_zenoh import errors
 
@@ -19,13 +20,13 @@ def test_a_generated_page_is_up_to_date(name: str) -> None:
 
 
 def test_every_error_has_its_own_exit_code() -> None:
-    codes = {error.__name__: error.exit_code for error in generate_docs.error_types()}
+    codes = {error.__name__: error.exit_code for error in error_types()}
     assert len(set(codes.values())) == len(codes), codes
     assert 2 not in codes.values(), "2 is a usage error on the command line"
 
 
 def test_the_error_tree_is_printed_in_its_module() -> None:
-    for error in generate_docs.error_types():
+    for error in error_types():
         assert f"{error.__name__} " in (errors.__doc__ or ""), error
         assert f" {error.exit_code} " in (errors.__doc__ or ""), error
 

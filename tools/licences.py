@@ -1,4 +1,4 @@
-"""Writes docs/licences.md: the licence of every package that a lock file names, as the package states it.
+"""Writes docs/ref-licences.md: the licence of every package that a lock file names, as the package states it.
 
 python tools/licences.py      after `make lock`, with the new packages installed (make dev, make test-all, make dist)
 
@@ -13,7 +13,7 @@ from importlib.metadata import Distribution, distributions
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "licences.md"
+PAGE = ROOT / "docs" / "ref-licences.md"
 #: Lock files, each with what it is for; a package that is in several stands under the first.
 LOCKS = {
     "requirements.txt": "running",

@@ -244,12 +244,14 @@ class Entry:
     """A class, file, profile or metric that a scenario can name.
 
     group: its use;  description: one line;  parameters: in the order of its signature
+    cls: the class, None: it is none
     """
 
     name: str
     group: str
     description: str
     parameters: tuple[Parameter, ...] = ()
+    cls: type | None = None
 
     def __str__(self) -> str:
         lines = textwrap.wrap(self.description, _WIDTH, initial_indent="  ", subsequent_indent="  ")
@@ -356,7 +358,7 @@ def list_kind(kind: str) -> Listing:
     entries = list(_special(kind))
     for group, base in _BASES[kind].items():
         entries += [
-            Entry(name, group, _description(cls), parameters_of(cls, getattr(cls, "described_by", ())))
+            Entry(name, group, _description(cls), parameters_of(cls, getattr(cls, "described_by", ())), cls)
             for name, cls in registry.known_types(base).items()
         ]
     return Listing(kind, entries)

@@ -520,7 +520,7 @@ class SeizedCommands(ObjectsUnchanged, Attack):
 
     A car carries out only what it can do: a command beyond that is refused (`driving.Actuation`).
 
-    acceleration: m/s^2, negative: it brakes
+    acceleration: m/s², negative: it brakes
     start_s, end_s: s of scene time; end_s None: 2 s after the start
     """
 

@@ -406,7 +406,7 @@ class CutIn(FalseTraffic):
     of a vehicle that is not there.
 
     ahead_m:      m, from the ego to the vehicle when it appears;  side: "left" or "right" of the ego's lane
-    change_s:     s, of a change of lanes;  braking_mps2: m/s^2, after it
+    change_s:     s, of a change of lanes;  braking_mps2: m/s², after it
     least_mps:    m/s; while the ego is slower, no vehicle comes
     budget:       lies per second
     start_s:      s of scene time at which the attack begins

@@ -162,7 +162,7 @@ def diff(
 ) -> None:
     """Compare the messages of two runs.
 
-    Exits with 0 if they are equal, 1 if they differ, 2 if they cannot be compared.
+    Exits with 0 if the runs are equal, 1 if they differ, 2 if they cannot be compared.
     """
     from mast_zenoh.run_folder.recording.churn import comparable
     from mast_zenoh.run_folder.recording.difference import compare, explain

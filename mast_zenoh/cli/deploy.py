@@ -211,7 +211,10 @@ def doctor(
         bool, typer.Option("--report", help="Print what a bug report needs, without personal data.")
     ] = False,
 ) -> None:
-    """Check what this machine can do, and what to install for the rest."""
+    """Check what this machine can do, and what to install for the rest.
+
+    Exits with 0 if this machine has what runs need, 1 if not; optional parts may be missing.
+    """
     from mast_zenoh.deploy import doctor as checks
 
     if report and credentials is not None:

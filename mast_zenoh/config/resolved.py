@@ -118,7 +118,22 @@ class Resolved:
         return self.mode == "lockstep" and not self.network
 
     def to_json(self) -> dict[str, Any]:
-        """The content of scenario.json; the wiring has its own file."""
+        """The content of scenario.json; the wiring has its own file.
+
+        Keys:
+        name, seed, mode, rate, frames: as in run.json
+        period_ns, leeway_ns: between two frames; by how much times of messages may be off
+        scene, modules: as in the scenario; the user's Python files that define algorithms
+        timeline: attacks, faults and links: `label`, `kind`, `type`, `at_s`, `until_s` (null: the end) and `nodes`
+        steps: actions on processes: `frame`, `action` and `node`
+        network: hosts and their faults
+        max_rows: by type of message, the most rows
+        origin: x and y, m, of the origin of local planes
+        messages: message types that nodes declare
+        idle: findings on parts that match nothing
+        plugins: by class of a plugin, its distribution and version
+        nodes: by name: `role`, `file`, `type`, `on_exit`, and `config`, all of its parameters
+        """
         nodes = {
             name: {
                 "role": spec.role,

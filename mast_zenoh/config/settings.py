@@ -13,11 +13,28 @@ from mast_zenoh.config import plugins
 from mast_zenoh.config.outside_meshes import outside_meshes
 from mast_zenoh.errors import ConfigurationError, nearest
 
-#: The keys of a scenario, described in docs/scenarios.md.
-KEYS = (
-    *("name", "scene", "agents", "broker", "command_center", "centers", "peers", "channel", "evaluator"),
-    *("drivers", "world", "adversaries", "coordinator", "nodes", "links", "faults", "hosts", "keyexpr", "run"),
-)
+#: The keys of a scenario; parts of plugins have others.
+KEYS = {
+    "name": "name of the scenario; by default the file's",
+    "scene": "a short name, such as intersection:3 or av2:PATH, or dict(type=…)",
+    "agents": "name or pattern to configuration of an agent; a full name, else the longest pattern counts",
+    "broker": "configuration of the broker, None: no broker",
+    "command_center": "configuration of the command centre, None: no centre; also written commandcenter",
+    "centers": "name to configuration of a regional centre",
+    "peers": "name or pattern of an agent to configuration of its peer, which fuses on board",
+    "channel": "configuration of the radio channel of peers, None: nothing is lost",
+    "evaluator": "configuration of the evaluator",
+    "drivers": "agent to configuration of the driver of its car",
+    "world": "options of the simulator that drivers command; only together with `drivers`",
+    "adversaries": "name to configuration of an adversary; agent=[]: it attacks nobody",
+    "coordinator": "configuration of what directs the adversaries, None: nothing",
+    "nodes": "name to configuration of a further node: its role, its file and its parameters",
+    "links": "name or pattern of an agent to a profile, or to dict(type=profile, up=[rules], down=[rules])",
+    "faults": "list of dict(type=…)",
+    "hosts": "name to a host with its own network, on which nodes run",
+    "keyexpr": "dict(map=…, rewrites=[…]): files of maps, or dicts of the same form; by default testbed.toml and none",
+    "run": "how the run is played",
+}
 #: Those of them that hold a list, which a setting can replace.
 LISTS = ("faults",)
 #: Alternative spellings of keys, from the paper's configuration listing.

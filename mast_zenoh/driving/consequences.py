@@ -153,17 +153,32 @@ def accelerations(speed: Floats, period_s: float) -> Floats:
 
 
 def consequences(driven: DrivenCar) -> dict[str, Any]:
-    """What happened to a driven car, as numbers for metrics.json; docs/driving.md describes them.
+    """What happened to a driven car, as numbers for metrics.json; docs/driving.md says how they are measured.
 
-    "collisions": for each object the first frame of contact, the relative speed, and whether it was hidden from the
-    driver though the car's own sensors had it; "near_misses": objects that were not hit; "min_ttc_s", "min_gap_m"
-    (None: nothing was ever approached, or ahead), "min_pet_s" (None: nothing crossed its way), "max_drac_mps2";
-    "rss_unsafe_s"; "brakes", each with its cause: the object (a real one's id, a false track's id), its kind (see
-    `braking.causes`) and the adversary, and the braking of its driver on the truth (None: not known);
-    "needless_brakes", "missed_brakes", "hard_brakes"; "hardest_braking_mps2", "jerk_max_mps3";
-    "uncomfortable_s" by bound of COMFORT; "progress_m"; "stops", "standing_s", "blocked_s"; "blind_frames",
-    "obeyed_commands", "uncommanded_frames"; and "behind", the traffic in its lane behind it. "hidden"
-    and these three are None in a replay that leaves out what they need.
+    Keys:
+    collisions: for each object, its `id`, the first `frame` of contact, the relative speed, m/s, and whether it was
+        `hidden` from the driver though the car's own sensors had it; None: a replay does not know
+    near_misses: number of objects that it nearly hit, and did not
+    min_ttc_s: least time to collision in its lane; None: none
+    min_gap_m: least gap in its lane; None: none
+    min_pet_s: shortest time between the car and what crosses its way; None: nothing did
+    max_drac_mps2: greatest braking that just avoids contact with what is ahead
+    rss_unsafe_s: time nearer to something ahead than the safe distance of RSS
+    brakes: each with `from_s`, `until_s`, `hardest_mps2`, that of its driver on the truth (`on_truth_mps2`; None: not
+        known), its `cause` (`kind`, `object`, `adversary`), and whether it is `needless`
+    needless_brakes: number of brakes that its driver would not have made on the truth
+    missed_brakes: number of emergencies, and of contacts with what was ahead, without braking
+    hard_brakes: number of times of braking harder than 4.05 m/s²
+    hardest_braking_mps2: hardest braking
+    jerk_max_mps3: m/s³, greatest change of the acceleration
+    uncomfortable_s: by bound of nuPlan's comfort metric, time outside it
+    progress_m: way driven
+    stops: how often it came to a stop
+    standing_s: time below 0.3 m/s
+    blocked_s: time standing with nothing to wait for within 5 m ahead
+    blind_frames: frames in which it obeyed a command given without an estimate; None: a replay does not know
+    obeyed_commands, uncommanded_frames: commands that it obeyed; frames without a new one
+    behind: of the cars in its lane up to 100 m behind it: number, braking, standing and lost time, and shock wave
     """
     car, period, truth = driven.car, driven.period_s, driven.truth
     speed, acceleration = driven.speed, driven.acceleration
@@ -201,7 +216,19 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
 
 
 def course(driven: DrivenCar) -> dict[str, Any]:
-    """The course of a driven car as columns of driven.parquet: a row per frame (docs/metrics.md)."""
+    """The course of a driven car as columns of driven.parquet: a row per frame (docs/metrics.md).
+
+    Columns:
+    agent: whose car it is
+    frame: number of the frame, from 0
+    time_s: of scene time
+    x, y: m, place in the world
+    heading: rad, counter-clockwise from east
+    speed_mps: along the car
+    acceleration_mps2: to the next frame; missing in the last one
+    brake: whether the frame is in a brake, see docs/driving.md
+    gap_m, ttc_s: to the nearest object in its lane, and least time to collision there; missing: nothing
+    """
     frames, truth = len(driven.frames), driven.truth
     gap, ttc, brake = np.full(frames, np.inf), np.full(frames, np.inf), np.zeros(frames, bool)
     np.minimum.at(gap, truth.frame, truth.gap_m)

@@ -21,7 +21,7 @@ _LEAST_GAP_M = 0.05
 class IntelligentDriverModel:
     """How a driver keeps its speed and its distance.
 
-    acceleration: m/s^2, from a standstill;  braking: m/s^2, comfortable
+    acceleration: m/s², from a standstill;  braking: m/s², comfortable
     headway_s:    s, behind the car ahead;   gap_m: m, at a standstill
     exponent:     of the speed
 

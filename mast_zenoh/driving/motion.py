@@ -29,7 +29,7 @@ class Command(NamedTuple):
 class CarLimits:
     """What a car can do.
 
-    acceleration: m/s^2; braking: m/s^2, on dry asphalt; curvature: 1/m, with the steering wheel turned fully
+    acceleration: m/s², at most; braking: m/s², on dry asphalt; curvature: 1/m, with the steering wheel turned fully
 
     Raises ValueError for a limit that is not positive.
     """

@@ -54,6 +54,20 @@ def attacks(effects: Effects, agreement: Agreement, roles: Mapping[str, str], pe
 
     Sorted by interposer, wire, frame and sequence number.
     Objects of a message that was withheld, forged or reframed as a whole have no separate rows.
+
+    Columns:
+    interposer, role: the node, and its role
+    wire, message: key of the wire, and its message type
+    before_subscriber: the only subscriber that the interposer serves; empty: all
+    frame, seq: of the message; -1 if they cannot be read
+    effect: what was done, see docs/effects.md
+    id: of the object in its message; -1: none
+    before_x, before_y, before_z, after_x, after_y, after_z: m, places in the world; missing if there is no such place
+    vx, vy, vz: m/s, velocity in the world
+    columns: the columns that differ, separated by spaces
+    delay_s: by which the message is later; missing: none
+    reported: whether the interposer reported this effect
+    label: number that the report gave to the target, or row of the link's rule; -1: none
     """
     rows = np.flatnonzero(~effects.whole & counted)
     of_passages = [
@@ -86,10 +100,11 @@ class Evaluation:
     driving: settings for the driving consequences of an estimate
     skip_first, skip_last: frames left out of the summary at the beginning and at the end, because tracks need some
              frames to begin with; kept when they would be more than half of the run
-    picture_age_s: s, for how long an agent uses a picture when no newer one arrives; picture_ages_s: by agent
+    picture_age_s: s, for how long an agent uses a picture when no newer one arrives
+    picture_ages_s: s, the same by agent
     estimate_ages_s: s, by agent whose car is driven, the greatest age of an estimate that its driver uses
     take_over_s, hold_s: s, of the world of driven cars: from when on, and for how long, they obey commands
-    car_limits: what they can do
+    car_limits: what driven cars can do
     attribution, cut_off: settings for the causes of errors
     consistency: settings for the comparison of errors with covariances
     faults:  of the timeline by agent, for runs with trust
@@ -291,6 +306,10 @@ class ScoredFrames:
         """The rows of frames from `first` on, before `end`: "objects" and "attacks", with trust those about it.
 
         every_series: series with the same messages as others have rows of their own
+
+        Columns:
+        cause: of an error, see docs/metrics.md; empty: none
+        by: the adversary that caused it; several are joined by `+`
         """
         data, effects = self.data, self.effects
         counted = self.counted_effects(first, end)

@@ -263,6 +263,29 @@ class RunScoring:
 
         Returns {"metrics": contents of metrics.json, "tables": columns of the tables by name, without the rows that
         `advance` has returned, "failed_metrics": errors of failed user-defined metrics by name}.
+
+        Keys:
+        frames, scored_frames: number of frames; first and last one that is scored
+        settled: False: the run is too short to leave out the frames in which tracks begin
+        agents: by agent and estimate, its metrics
+        same_as: by agent and estimate, the one of the same messages, whose scores are equal
+        achieved: by adversary, and for `all`, what it achieved
+        driving: by mobile agent and estimate, what its errors would mean for driving
+        driven: by driven car, what happened to it
+        consistency: by agent and estimate, for `position` and `velocity`, confidence beside accuracy
+        interposers: by node, what it did, and whether its reports agree
+        picture_age_s: by agent, `mean` and `max` age of the picture in its mission estimates, and the `frames_without`
+            any
+        latency_ms: in the run's own time
+        late: by agent, tracks that came after the batch of their frame
+        messages: by wire, mean and standard deviation of your metrics of messages
+        own_metrics: by name, `heading`, `unit`, `digits`, `range` of your metrics, and `per` what they are
+        frames_per_second: in the run's own time: scene time in lock-step, the wall clock in real time
+        integrity: of a command centre that judges agents, what its trust was worth
+        pictures: of agents with pictures of their own, how these differ
+        channel: of a radio channel, its load
+        recording: of a run that was measured from a part of its recording, `frames` and `played_frames`
+        replay: of a replay, what it replays
         """
         data, settings = self.data, self.settings
         last = int(data.record.frames().max(initial=-1))
@@ -323,7 +346,11 @@ class RunScoring:
         }
 
     def _scored(self, joined: Joined) -> tuple[dict[str, dict[str, dict[str, Any]]], Table, dict[str, BaseException]]:
-        """The summary by agent and estimator, the table per frame, and errors of user-defined metrics by name."""
+        """The summary by agent and estimator, the table per frame, and errors of user-defined metrics by name.
+
+        Columns:
+        scored: whether the frame counts in metrics.json: a mean over these frames equals the one there
+        """
         scores = joined.scores
         own = [metric for metric in self.settings.metrics if isinstance(metric, (FrameMetric, RunMetric))]
         summary, columns, failed = measured([*MEASURES.values(), *own], joined)
@@ -347,7 +374,11 @@ class RunScoring:
         return happened, table
 
     def _on_truth(self, car: str) -> dict[str, str | None]:
-        """Why it is not known, in some frames, what the car's driver does on the truth; None: it is known."""
+        """What is not known of the car's driver.
+
+        Keys:
+        on_truth_problem: why it is not known, in some frames, what its driver does on the truth; None: it is known
+        """
         driver = self.data.heard[car].on_truth
         return {"on_truth_problem": "its node is a file of your own" if driver is None else driver.problem or None}
 
@@ -362,7 +393,16 @@ class RunScoring:
         return {"pictures": part | {"consistency": consistency_of_pictures(consistency)} if part else part}
 
     def _channel(self, counted: Ints) -> dict[str, Any]:
-        """The load of the channel that stations share, over the frames that count; empty without one."""
+        """The load of the channel that stations share, over the frames that count; empty without one.
+
+        Keys:
+        stations: number of stations
+        busy_ratio: 0 to 1, channel busy ratio, `mean` and `std` over stations and frames
+        airtime_share: 0 to 1, share of the time in which a station sends
+        sent: 0 to 1, share of the frames in which a station sends
+        arrived: 0 to 1, share of the messages that arrive, of all pairs of a sender and another station; None: none was
+            sent
+        """
         frames, period_ns = set((counted + 1).tolist()), self.data.period_s * 1e9
         receptions = sorted(self.data.receptions.items())  # floating-point sums depend on the order of their terms
         rows = [state for (_, frame), state in receptions if frame in frames]

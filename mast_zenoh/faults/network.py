@@ -47,7 +47,14 @@ class _InRange:
 
 @dataclass(frozen=True, kw_only=True)
 class ScenarioHost(_InRange):
-    """A host as in a scenario. delay_by: what can delay its link"""
+    """A host with its own network, and the nodes on it.
+
+    nodes: names or patterns of nodes; the others run at the centre, where the router is
+    delay_ms, jitter_ms: ms, delay of its link to the centre one way, and how much that varies, up to 500
+    loss: 0 to 1, share of the packets that its link loses
+    bits_per_s: bandwidth of its link; None: unlimited
+    delay_by: what delays: the kernel (`netem`), or a process (`relay`); None: what this machine has
+    """
 
     nodes: list[str]
     delay_ms: float = 0.0

@@ -55,7 +55,7 @@ class Rectangle(ServedArea):
 class Around(ServedArea):
     """A circle around the agent that carries the centre; empty until its pose is known.
 
-    radius_m: m
+    radius_m: m, of the circle
     """
 
     follows: ClassVar[bool] = True

@@ -45,6 +45,10 @@ def latency_ms(wiring: Wiring, outcomes: Mapping[str, Mapping[str, Any]]) -> dic
 
     A picture has come when the first node has it that receives it as it was sent, because others, such as the
     evaluator, may be busy.
+
+    Keys:
+    sim_to_picture: `p50`, `p95`, `p99`, ms, and number `n` of frames
+    by_wire: by key of a wire, the same
     """
     sent, arrived = on_launcher_clock(outcomes)
     common = wiring.find(estimate=PICTURE)
@@ -217,7 +221,13 @@ def _failure(recorded: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def rates(frames: int, wall_s: float) -> dict[str, Any]:
-    """Duration and speed of a run, for its `timings`."""
+    """Duration and speed of a run, for its `timings`.
+
+    Keys:
+    frames: number of frames that were played
+    start_s, run_s, total_s: until the first frame; from there to the last one; in all
+    frames_per_second: while it ran
+    """
     return {
         "frames": frames,
         "run_s": round(wall_s, 4),

@@ -168,6 +168,35 @@ def run(
               that is missing
     Raises RunFolderError, DiskFull, ConfigurationError without the kernels that it needs, and, of the engine,
     BackendError and EngineError before anything is started.
+
+    Keys:
+    id, name: of the run; of the scenario
+    status: `ok`, `handler_failures`, `node_lost`, `failed`, `interrupted` or `running`, see docs/endings.md
+    message: why it failed; empty: it did not
+    runtime, mode, rate, security: `mesh` or `inproc`; `lockstep` or `realtime`; speed in real time; security level
+    seed, frames: of all random draws; number of frames to play
+    started, command: date and time, UTC; the command line
+    launcher: process of the launcher, by which others know whether the run still goes on
+    versions: of Python, packages and the platform; `kernels` is `compiled` or `numpy`
+    kernels_not_used: why compiled kernels were not in use, if so
+    engine_plugin: the plugin of the engine that deployed the run, with its version, if it is of one
+    suspicious: what is suspicious about the scene, if anything
+    timings: of the run on the wall clock, see below
+    nodes: by name, see below
+    innovations: by node with a tracker, see docs/ref-metrics.md
+    churn: nodes that came and went unplanned: `frame`, `node`, and `what`: lost or back
+    steps: actions of faults on processes: `frame`, `action` and `node`
+    interceptions: nodes that were inserted and released during the run
+    recording: `complete`, and else `from_frame`, from which on messages are missing
+    recorded: `messages`, `malformed` and `lost` ones, and the `problem` that ended recording
+    notices: findings on anything unusual, each with `text`, its sentence
+    endpoint: of the router
+    viewer_credentials: of a secure run, the folder of the credentials of its viewers
+    deployment: the `engine` and what it needs to find the nodes
+    network: faults of hosts' networks, as they happened
+    outside: by node, what it exchanged with programs outside the run
+    replay: of a replay, what it replays
+    invalid_control, unsigned_control: control messages that the launcher refused; number of those obeyed unsigned
     """
     console = console or Console(quiet=True)
     where = f"engine {engine.name}" if engine else "one process" if runtime == "inproc" else "processes of this machine"

@@ -161,7 +161,21 @@ class Supervisor(ABC, Generic[C]):
         return [child for child in self.children.values() if child.exit is None]
 
     def to_json(self, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-        """The `nodes` part of run.json; `reports`: what the nodes have handed in."""
+        """The `nodes` part of run.json; `reports`: what the nodes have handed in.
+
+        Keys:
+        role, log: of the node; its log in the run folder
+        pid, container, host: its process, or where it was deployed
+        exit, ended: exit code, and how it ended in words
+        restarts: how often it was started again
+        last_frame, cpu_s: the last frame that it handled; processor time
+        rejected, first_rejected: messages that it refused, by key; frame and reason of the first ones
+        unaccepted: keys on which nothing came but messages that it refused
+        foreign: messages that no node of the run sent, by key
+        failures: handlers that raised an exception: `handler`, `count`, `frames`, `exception` and `where`
+        invalid_control, unsigned_control: control messages that it refused; number of those obeyed unsigned
+        clock, versions: on another host, how far its clock is ahead, and the versions there
+        """
         reported_keys = ("last_frame", "cpu_s", "rejected", "first_rejected", "unaccepted", "foreign", "failures")
         return {
             name: {

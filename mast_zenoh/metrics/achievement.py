@@ -101,7 +101,18 @@ class Manipulated:
         )
 
     def table(self) -> Table:
-        """The columns of targets.parquet."""
+        """The columns of targets.parquet.
+
+        Columns:
+        adversary, kind: who did it; `inserted`, `removed`, `moved` or `altered`
+        object: number of an inserted object, otherwise the true object's id
+        frame: number of the frame, from 0
+        x, y, z: m, where it is shown, or was
+        seen_by_others: whether an agent without this adversary sees it too
+        believed_centre, believed_ego: whether it worked in this frame, in the picture and in the ego's estimate
+        judged_centre, judged_ego: whether it can be judged there: in range, and evaluated
+        error_m_centre, error_m_ego: m, from the truth to the track; missing where it does not apply
+        """
         attacks = self.attacks
         columns: Table = {
             "adversary": np.array([*attacks.culprits, ""], object)[attacks.culprit],
@@ -259,9 +270,25 @@ def switches(scores: Scores, switch_by: Texts, ego: str, scored: slice = slice(N
 def summary(targets_: Manipulated, switched: Mapping[str, Sequence[str]], period_s: float) -> dict[str, dict[str, Any]]:
     """Results by adversary, and of ALL together; {} without adversaries.
 
-    See docs/metrics.md.
-
     switched: see `switches`
+
+    What ends in `…` is of the picture, `centre`, and of the ego's mission estimate, `ego`. A share is None if no object
+    counts; docs/metrics.md says what counts.
+
+    Keys:
+    inserted, hidden, moved, altered: number of objects
+    inserted_frames, hidden_frames, moved_frames, altered_frames: in how many frames, summed over objects
+    hidden_seen_by_others, moved_seen_by_others, altered_seen_by_others: 0 to 1, frames in which an agent without this
+        adversary sees the object, too
+    inserted_share_…: 0 to 1, objects that were accepted in any frame
+    hidden_share_…, moved_share_…, altered_share_…: 0 to 1, objects that were missed, off or followed for long enough
+    inserted_time_share_…, hidden_time_share_…, moved_time_share_…, altered_time_share_…: 0 to 1, frames in which it
+        worked, of those with such objects
+    inserted_s_…: s, mean time for which an accepted object was accepted
+    moved_error_m_…, altered_error_m_…: m, mean distance from the truth to the track that follows the object
+    success_…: whether any of this succeeded
+    first_success_s_…: s, from the first manipulation to the first success
+    id_switches_…: number of identity switches that it caused, in the scored frames
     """
     attacks, culprits = targets_.attacks, targets_.attacks.culprits
     if not culprits:

@@ -274,8 +274,10 @@ def causes_of(counts: CauseCounts, frames: int) -> list[dict[str, Any]]:
 
     frames: the number of frames that `counts` are of
 
-    Returns {"causes": {"fp" | "fn" | "id_switches": {cause: number of rows}}, "fn_split" | "fp_split": {"fault",
-    "attack", "withheld", "natural"}, objects per frame, "id_switches_split": the same, switches of the whole run}.
+    Keys:
+    causes: for `fp`, `fn` and `id_switches`, the number of errors in the scored frames by cause
+    fn_split, fp_split: objects per frame, summed to `fault`, `attack`, `withheld` (by a defence) and `natural`
+    id_switches_split: the same, switches of the whole run
     """
     totals = {"fn": frames, "fp": frames, "id_switches": 1}
     by_error = {

@@ -90,11 +90,16 @@ class Consistency:
         values: (n,) NEES, NaN without a usable covariance;  objects: (n,) their numbers, from 0
         period_s: s from frame to frame
 
-        nees: mean;  expected: of a consistent estimate;  low, high: two-sided 95 % bounds of its mean
-        factor: sqrt(nees / expected), how many times more confident than accurate; factor_low, factor_high: its 95 %
-            interval;  typical_factor, typical_low, typical_high: the same from the median
-        pairs, objects: how many count;  samples: independent ones among the pairs
-        without_covariance: other pairs;  verdict: "overconfident", "overcautious" or None
+        Keys:
+        nees, expected: mean over the pairs; that of a consistent estimate
+        low, high: two-sided 95 % bounds of the mean of a consistent estimate
+        factor: how many times more confident than accurate: sqrt(nees / expected); below 1: less
+        factor_low, factor_high: its 95 % interval
+        typical_factor, typical_low, typical_high: the same from the median
+        pairs, objects: how many count
+        samples: independent ones among the pairs
+        without_covariance: pairs that are left out, because the covariance is not positive definite
+        verdict: `overconfident`, `overcautious` or None
         """
         ascending = np.sort(values)  # NaN come last
         usable = int(ascending.searchsorted(np.nan))

@@ -54,8 +54,8 @@ class SafeDistance(BrakingRule):
     Definition 1: the vehicle accelerates for its response time, then brakes with at least its minimum deceleration; the
     object ahead brakes with its maximum deceleration. Approaching objects count as stationary.
 
-    response_s: s, response time;  acceleration: m/s2, maximum during the response time
-    braking:    m/s2, minimum of the vehicle after it;  braking_ahead: m/s2, maximum of the object ahead
+    response_s: s, response time;  acceleration: m/s², maximum during the response time
+    braking:    m/s², minimum of the vehicle after it;  braking_ahead: m/s², maximum of the object ahead
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class TimeToCollision(BrakingRule):
     threshold is from van der Horst, A time-based analysis of road user behaviour in normal and critical encounters
     (TU Delft, 1990), below which an encounter is critical.
 
-    threshold_s: s
+    threshold_s: s, below which it brakes
     """
 
     def __init__(self, *, threshold_s: float = 1.5) -> None:
@@ -399,6 +399,16 @@ def summary(by_estimate: dict[tuple[str, str], Drive], scored: slice) -> dict[st
     """Mean numbers of objects and fractions of frames, by agent and estimate.
 
     Over the scored frames.
+
+    Keys:
+    corridor_objects, corridor_false, corridor_missed: per frame, objects in the corridor, false and missed ones
+    overlapping_objects: per frame, objects that overlap the vehicle itself; in no other number
+    min_ttc_s: least time to collision of the run; None: no collision course
+    brake_share: 0 to 1, frames in which to brake
+    needless_brake_share, missed_brake_share: 0 to 1, frames in which this estimate brakes and the truth does not, and
+        the reverse
+    needless_brake_share_attack, missed_brake_share_attack: 0 to 1, of these, frames in which an attack is among the
+        causes
     """
     result: dict[str, dict[str, dict[str, Any]]] = {}
     for (agent, estimate), drive in by_estimate.items():
@@ -426,7 +436,18 @@ def summary(by_estimate: dict[tuple[str, str], Drive], scored: slice) -> dict[st
 
 
 def table(by_estimate: dict[tuple[str, str], Drive], frames: Ints) -> Table:
-    """The columns of driving.parquet: a row per agent, estimate and frame."""
+    """The columns of driving.parquet: a row per agent, estimate and frame.
+
+    Columns:
+    frame: number of the frame, from 0
+    agent, estimate: whose driving, on `truth`, `local` or `mission`
+    objects, false, missed: in the vehicle's corridor: tracks (or true objects), false tracks, missed objects
+    overlapping: objects that overlap the vehicle itself; counted nowhere else
+    gap_m: along the path to the nearest object ahead
+    ttc_s: time to collision; missing without a collision course
+    brake, needless, omitted: whether to brake; whether that is needless; whether necessary braking is left out
+    attacked: whether an attack caused an object that led to the needless or omitted braking
+    """
     keys: Sequence[tuple[str, str]] = list(by_estimate)
     count = len(frames)
     columns: Table = {

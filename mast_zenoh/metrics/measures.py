@@ -558,7 +558,12 @@ def per_frame(scores: Scores) -> Table:
 
 
 def frame_keys(scores: FrameScores) -> Table:
-    """The columns frame, agent and estimator of the table per frame."""
+    """The columns frame, agent and estimator of the table per frame.
+
+    Columns:
+    frame: number of the frame, from 0
+    agent, estimator: whose estimate of which kind
+    """
     every, f = list(scores.every_series), len(scores.frames)
     return {
         "frame": np.tile(scores.frames, len(every)),

@@ -37,6 +37,19 @@ def of_pictures(
     names: of a agents with pictures;  frames: (f,) the frames that count
     deceived: (f, a), see `deceived_agents`;  differences: (p, f) m, see `differences`
     lies_from: frame of the first message that an adversary changed, from which on shares count; None: no lie
+
+    Keys:
+    count: number of pictures
+    difference_gospa_m: GOSPA between the pictures of two agents, of what is in range of both: `mean` and `std`
+    deceived.lies_from_s: frame of the first message that an adversary changed; None: none
+    deceived.share: 0 to 1, agents whose picture has an error that an adversary caused: `mean` and `std` over frames
+    deceived.most: 0 to 1, the greatest share
+    deceived.first_s: the first such frame; None: never
+    deceived.half_after_s: how much later half of the agents are deceived; None: never
+    deceived.agents: by agent, the share of the frames
+    deceived.since_s: by agent, the first such frame; None: never
+    consistency: for `position` and `velocity`: `nees` (the mean), the agents `above` and `below` the bounds, and
+        `agents`
     """
     if len(names) < 2:
         return {}

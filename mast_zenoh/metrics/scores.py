@@ -278,8 +278,17 @@ class Scores(FrameScores):
     def objects(self) -> Table:
         """A row per box and series.
 
-        Columns: frame, agent, estimator, kind ("truth" | "track"), outcome ("matched" | "missed" | "false" |
-        "unevaluated"), id, match_id (-1: none), x, y, z, l, w, h, yaw, score (NaN for truth).
+        Columns:
+        frame: number of the frame, from 0
+        agent, estimator: whose estimate of which kind
+        kind: `truth` or `track`
+        outcome: `matched`, `missed`, `false` or `unevaluated`
+        id: of this box
+        match_id: of the box with which it is matched; -1: none
+        x, y, z: m, centre in the world
+        l, w, h: m, length, width, height
+        yaw: rad, heading, counter-clockwise from east
+        score: 0 to 1, confidence of a track; missing for truth
         """
         judged, boxes = self.judged, self.judged.boxes
         names = np.array(self.series, object).reshape(-1, 2)

@@ -43,6 +43,8 @@ class Scorer:
 
     assigner:      matches tracks with truth; None: CenterDistanceAssigner()
     distance:      parameters of OSPA and GOSPA; None: SetDistance()
+    range_m:       m, around each agent, in which objects and tracks count
+    min_points:    least lidar points of at least one agent on an object that counts
     include_self:  whether the agent's own object counts as truth for it. If not, a track of it is not false either but
                    unevaluated
     ignore_unseen: whether tracks of objects that are not evaluated (unseen by all agents, or out of range) are

@@ -130,6 +130,19 @@ def agent_table(updates: Sequence[TrustUpdate], times_ns: Mapping[int, int], sta
     """The columns of trust.parquet: a row per frame and agent.
 
     times_ns: by frame; states: their names
+
+    Columns:
+    frame: number of the frame, from 0
+    time_s: of scene time
+    agent: who is judged; with `/relay`, what it relays
+    mean: 0 to 1, how far it is trusted
+    log_odds: that it is honest
+    state: `unknown`, `trusted`, `faulty`, `suspended` or `undecided`
+    reason: why
+    fault_offset_x, fault_offset_y: m, estimated error of its position
+    fault_turn: rad, of its heading
+    fault_delay: s, of its time
+    fault_loss: 0 to 1, share of the frames in which nothing arrived from it
     """
     rows = _counts(updates, "mean")
     offset = _joined(updates, "fault_offset", (2,))
@@ -150,7 +163,19 @@ def agent_table(updates: Sequence[TrustUpdate], times_ns: Mapping[int, int], sta
 
 
 def object_table(updates: Sequence[TrustUpdate], times_ns: Mapping[int, int]) -> Table:
-    """The columns of trust_objects.parquet: a row per frame and object that the centre tracks."""
+    """The columns of trust_objects.parquet: a row per frame and object that the centre tracks.
+
+    Columns:
+    frame: number of the frame, from 0
+    time_s: of scene time
+    id: of the object
+    x, y, z: m, centre in the world
+    l, w, h: m, length, width, height
+    yaw: rad, heading, counter-clockwise from east
+    trust: 0 to 1, that it exists
+    expected, confirming, contradicting: number of agents that should see it, report it, and see through it
+    withheld: whether it is left out of the picture
+    """
     rows = _counts(updates, "id")
     position, size = _joined(updates, "position", (3,)), _joined(updates, "size", (3,))
     columns = {name: _joined(updates, name, ()) for name in ("id", "yaw", *_OBJECT)}
@@ -200,6 +225,16 @@ def summary(
 
     history, conduct: of (f,) frames and a `agents`;  times_s: (f,) s;  period_s: s
     states: names of the states, among them "suspended" and "undecided"
+
+    Keys:
+    agents: by agent, what it did and how it was judged
+    seconds: by conduct (`honest`, `faulty`, `lying`) and state, summed over agents
+    honest_suspended: agents that were suspended while honest
+    false_alarms: how often that was
+    hours: of scene time
+    false_alarms_per_hour: for all agents together
+    relays: of agents that relay pictures, the same for what they relay
+    withheld: objects per scored frame that are withheld: `true` ones, within 2 m of one that an agent sees, and `false`
     """
     kind = conduct.kind
     of_agents = {
@@ -231,6 +266,19 @@ def _of_agent(
     period_s: float,
     states: Sequence[str],
 ) -> dict[str, Any]:
+    """What one agent did, and how it was judged. index: of the agent; kind: (f,) rows of CONDUCT
+
+    Keys:
+    lied, first_lie_s, lies_s: whether and when it first lied; time with a lie
+    faulty, first_fault_s, faults_s: the same of faults
+    faults: types of its faults
+    suspended_after_s: from the first lie to the suspension; None: never, or it was suspended already
+    observed_s: for how long that was watched, also if it was never suspended; None: no lie to detect
+    suspensions, undecided: periods: `from_s`, `until_s` (None: the end), `reason`, and `conduct` at the beginning
+    false_alarms, fault_alarms: number of suspensions that began while it was honest, and while it was faulty
+    seconds: by conduct (`honest`, `faulty`, `lying`) and state, time of the run
+    suspicion: `max` and `mean` of the negative log_odds
+    """
     lies, faults = conduct.lies[:, index], conduct.faults[:, index]
     suspicion = -history.log_odds[:, index]
     judged = suspicion[np.isfinite(suspicion)]

@@ -22,7 +22,7 @@ class Finding:
     kind:  which phrase of phrases.j2 says it
     who:   the nodes, agents, cars, objects or parts of the scenario that it is about, the one that acts first
     what:  which one of its kind: an effect, an error, a state
-    value: how much or how many, in `unit`;  other: the same of the run `than`, or of what the phrase names beside it
+    value: how much;  unit: of the value;  other: the same of the run `than`, or of what the phrase names beside it
     where: an estimate, wires, a key or topic, or a place in the scene
     when:  s, the first and the last moment
     cause: what explains it: measured causes by their names, or a kind of reason and then who is to blame, or what a

@@ -1,4 +1,27 @@
-"""What is in the folder of a run: its documents and tables, each read when it is asked for."""
+"""What is in the folder of a run: its documents and tables, each read when it is asked for.
+
+Files:
+run.json: how the run was made, went on and ended; at its beginning, and again at its end
+scenario.json: the resolved scenario: every option of every node
+wiring.json: every wire: key, message type, publisher, subscribers, interposers
+scene.npz: the prepared scene that the simulator replays; with driven cars, in the end the scene as it happened
+messages.mcap: every message, see docs/recording.md; not with --no-record
+logs/NODE.log: what each process logged
+metrics.json: the summary of the evaluator, at the end
+metrics.parquet: a row per frame, agent and estimate
+objects.parquet: a row per box, with its cause
+attacks.parquet: a row per measured effect of an interposer
+targets.parquet: a row per manipulated object and frame
+driving.parquet: a row per mobile agent, estimate and frame
+driven.parquet: a row per driven car and frame; with drivers
+trust.parquet: a row per frame and agent; of a command centre that judges agents
+trust_objects.parquet: a row per frame and object; of such a centre
+results/NODE/: what each node returned at the end: results.json, and its own tables
+checks.json: checks of the run's record; with links, faults or checks of yours
+findings.json: what the report says, as data, with `text`, its sentence; with the report
+report.html, figures/: the report and its figures
+twin/: the same run without adversaries; with --against twin
+"""
 
 from __future__ import annotations
 

@@ -30,7 +30,14 @@ ON_EXIT = ("fail", "continue", "restart")
 ROUTE_STEP_S = 0.5
 
 _DEFAULT_ON_EXIT = dict.fromkeys(("agent", "peer", "driver", "adversary", "coordinator", "link"), "continue")
-_CONTROLS = ("type", "file", "on_exit", "role")
+#: Keys that the configuration of every node may have besides the node's parameters.
+CONTROLS = {
+    "type": "name of the class in the node's file; needed if the file has several",
+    "file": "a node file next to the scenario, or a shipped one; by default that of the role",
+    "on_exit": f"what the run does when the node's process ends: {', '.join(ON_EXIT)}; by default continue for the "
+    f"roles {', '.join(_DEFAULT_ON_EXIT)}, and fail for all others",
+    "role": "of the node, in `nodes`",
+}
 
 
 def nodes_of(
@@ -288,7 +295,7 @@ def node_spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> No
     on_exit = config.get("on_exit", _DEFAULT_ON_EXIT.get(role, "fail"))
     if on_exit not in ON_EXIT:
         raise ConfigurationError(f"{place}.on_exit: found {on_exit!r}{nearest(str(on_exit), ON_EXIT)}")
-    parameters = {key: value for key, value in config.items() if key not in _CONTROLS}
+    parameters = {key: value for key, value in config.items() if key not in CONTROLS}
     if "agent" in parameters and "agent" not in inspect.signature(cls).parameters:
         raise NodeFileError(f"{place}: {cls.__name__} has no parameter `agent`, which selects its wire")
     return NodeSpec(role, str(file), cls.__name__, parameters, on_exit)

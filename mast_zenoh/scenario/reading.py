@@ -5,8 +5,9 @@ from __future__ import annotations
 import inspect
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from mast_zenoh import scenes
 from mast_zenoh.config import loading, plugins, registry
@@ -35,15 +36,26 @@ def name_of_file(stem: str) -> str:
 
 MODES = ("lockstep", "realtime")
 
-#: The `run` part of a scenario.
-RUN_DEFAULTS: dict[str, Any] = {
-    "mode": "lockstep",
-    "rate": 1.0,
-    "frames": None,
-    "seed": 0,
-    "record": True,
-    "max_rows": None,
-}
+
+@dataclass(frozen=True)
+class RunOptions:
+    """The `run` part of a scenario.
+
+    mode:   the next frame begins when all messages are handled, or by the clock
+    rate:   speed relative to the wall clock, in real time;  frames: how many to play, None: all
+    seed:   of all random draws;  record: whether every message is written to messages.mcap
+    max_rows: most objects that a message of one agent may have; None: as many as the scene needs
+    """
+
+    mode: Literal["lockstep", "realtime"] = "lockstep"
+    rate: float = 1.0
+    frames: int | None = None
+    seed: int = 0
+    record: bool = True
+    max_rows: int | None = None
+
+
+RUN_DEFAULTS = asdict(RunOptions())
 #: Keys whose values are no dicts, and those of what a run can do without, which may be None.
 _NO_DICTS = ("name", "scene", *LISTS)
 _OPTIONAL = ("broker", "command_center", "channel", "coordinator")

@@ -39,7 +39,12 @@ KEYS = {
 PER_TRIAL = ("seed", "frames")
 #: The label of the run with drivers, and its folder.
 DRIVEN = "driven"
-RUN_KEYS = ("scenario", "parameters", "grid", "factors")
+RUN_KEYS = {
+    "scenario": "a file next to the study, or the name of a shipped scenario",
+    "parameters": "launch-time parameters of the scenario, as for --set: dotted keys, too",
+    "grid": "parameter to list of values: a configuration for each combination, and a column of the results for each",
+    "factors": "names and values by which the `kind` tells configurations apart; those of the grid are among them",
+}
 RUNTIMES = ("mesh", "inproc")
 #: Columns of results.parquet, frames.parquet and table.csv: no parameter of a grid may have one of these names.
 RESULT_COLUMNS = {

@@ -100,8 +100,15 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
     Those below `agents`, `driving`, `driven`, `achieved`, `messages`, `pictures`, `channel` and `integrity`. `null`
     becomes NaN, true and false become 1 and 0. Of lists of a driven car, such as its collisions, their length counts.
     Other values are skipped. Every cause in `causes` gets a number of objects per frame, "fp inserted", even if it does
-    not occur. "driving.critical" shows whether the minimum time to collision is below CRITICAL_S; every trial has it.
-    These blocks hold no wall-clock times, so all numbers depend on scenario and seed alone.
+    not occur. These blocks hold no wall-clock times, so all numbers depend on scenario and seed alone.
+
+    Keys:
+    fp CAUSE, fn CAUSE: false and missed objects per frame of each cause
+    driving.critical: whether the least time to collision is below 1.5 s (van der Horst 1990)
+    lying_agents, lying_suspended: of the defence: agents that lied, and those suspended with or after their first lie
+    delay_s: of the defence: from an agent's first lie to its suspension, mean over these agents; missing: none
+    honest_suspended, false_alarms: of the defence: number of honest agents that it suspended, and how often
+    withheld_false, withheld_true: of the defence: objects per frame that it withheld from the picture
     """
     first, last = scored_frames(metrics)
     frames = last - first + 1
@@ -173,6 +180,12 @@ def values(outcome: TrialOutcome, baseline: TrialOutcome | None) -> list[Number]
     """All numbers of a successful trial, and its increments over the baseline.
 
     baseline: the outcome of the baseline in the same scene with the same seed; None: no increments
+
+    Keys:
+    NAME_iob: the ego's number minus the baseline's for the same scene and seed; means over frames, frame by frame
+    fn_ioe, fp_ioe, tp_ioe: the ego's picture minus its own tracks in the same run
+    cafn_iob, cafp_iob: of the compromised agents together, their own tracks (or the picture) minus those of the
+        baseline
     """
     result = list(numbers(outcome.metrics))
     if baseline is not None and baseline is not outcome:
@@ -251,7 +264,18 @@ def _frame_by_frame(before: Table, after: Table, metric: str) -> Any:
 
 
 def columns(trial: Trial, trial_numbers: Sequence[Number]) -> Table:
-    """The rows of results.parquet of one trial."""
+    """The rows of results.parquet of one trial.
+
+    Columns:
+    configuration: label; a column for each parameter of a grid, and for each factor, follows it
+    scene, seed: of the trial
+    who: agent, car or adversary; `all`, or `compromised` for all compromised agents together
+    estimator: an estimate, or `achieved`, `driven`, `defence`, `pictures`, `channel`, or the name of a kind of study
+    metric: name of a number of metrics.json; nested names are joined with dots, as in fp_split.attack
+    value: mean over frames, or of the run
+    std: over frames; missing for numbers of a whole run
+    frames: number of frames
+    """
     key = (trial.configuration, trial.scene, trial.seed)
     rows = [key + number[:6] for number in trial_numbers]
     by_column = list(zip(*rows, strict=True)) if rows else [()] * len(_COLUMNS)
@@ -261,7 +285,12 @@ def columns(trial: Trial, trial_numbers: Sequence[Number]) -> Table:
 
 
 def frames(outcome: TrialOutcome) -> Table:
-    """The rows of frames.parquet of one trial."""
+    """The rows of frames.parquet of one trial.
+
+    Columns:
+    configuration: label; a column for each parameter of a grid, and for each factor, follows it
+    scene, seed: of the trial
+    """
     trial, count = outcome.trial, len(outcome.per_frame["frame"])
     key = {"configuration": trial.configuration, "scene": trial.scene, "seed": trial.seed}
     return {name: np.full(count, value) for name, value in key.items()} | outcome.per_frame

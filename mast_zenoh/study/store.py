@@ -1,4 +1,19 @@
-"""The folder of a study: one file per finished trial, and tables of all, written atomically."""
+"""The folder of a study: one file per finished trial, and tables of all, written atomically.
+
+Files:
+study.json: status, configurations, versions, and every trial
+report.html: the study as one page that needs no other file
+table.md, table.tex, table.csv: the estimates: as Markdown, as LaTeX with `booktabs`, and with all digits
+results.parquet: a row per trial and number
+frames.parquet: the tables per frame of all trials
+increments.png, increments_mission.png, success.png: what attacks add, and how often they succeed; also as PDF
+KIND.md, KIND.csv, KIND.tex: tables of the kind of study, if it has one; its figures have its name, too
+search.md, search.csv, search.tex, search.json: of a study with a search: its result
+candidates.csv: of such a study: every candidate
+attempts.md, attempts.csv: of a study of security levels: what each attempt achieved
+trials/DIGEST.parquet: a file per trial: the columns of metrics.parquet, and metrics.json in the schema's metadata
+runs/: the run folder of each trial; with --record
+"""
 
 from __future__ import annotations
 
@@ -128,9 +143,15 @@ class Store:
         status: str,
         left_out: Sequence[str] = (),
     ) -> None:
-        """Write study.json: the study's configurations and trials, and its status.
+        """Write study.json: the study's configurations and trials, and its status; with failures, `ok` is `failed`.
 
-        left_out: why results are not there. With these, or with failures, `ok` is `failed`.
+        Keys:
+        name, status, baseline: of the study; as in run.json; label of a configuration
+        configurations: by label, `scenario` and `settings`
+        environment: versions of what the numbers depend on
+        runtime, frames: of each trial
+        trials: each with `digest`, configuration, scene, seed and command; `run`, its folder; `error`, if it failed
+        left_out: why tables or figures of a kind are not there; with these, too, `ok` is `failed`
         """
         content = {
             "name": study.name,
@@ -157,7 +178,16 @@ class Store:
         run_folder.write_json(self.status_file, content)
 
     def save(self, outcome: TrialOutcome) -> None:
-        """Store the outcome of a trial."""
+        """Store the outcome of a trial.
+
+        Keys:
+        digest: of all that the numbers depend on
+        configuration, scene, seed, command: which trial it is; the command that runs it alone
+        compromised: names of compromised agents
+        cpu_s: processor time
+        warning: handlers that failed, if that is allowed; empty: none
+        metrics: the content of metrics.json
+        """
         metadata = {
             "digest": outcome.trial.digest,
             **outcome.trial.summary(),

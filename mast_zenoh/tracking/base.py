@@ -48,11 +48,15 @@ class Innovations:
     def summary(self) -> dict[str, Any]:
         """Plain values for the results of a node; None where undefined, without pairs.
 
-        nis: mean;  expected;  low, high: two-sided 95 % bounds of the mean of a consistent tracker
+        Keys:
+        nis, expected: mean over the pairs; that of a consistent tracker
+        low, high: two-sided 95 % bounds of the mean of a consistent tracker
         factor, factor_low, factor_high: how many times larger innovations are than expected, with its 95 % interval:
             the estimate of greatest likelihood that takes sudden pairs as beyond the gate. Others beyond it are unknown
-        silent: see the class
-        verdict: "overconfident" or "overcautious" if the interval is beyond LIMIT or its inverse, else None
+        pairs, sudden: pairs that steady motion explains; pairs that only a sudden displacement explains
+        at_most: whether the expected mean is an upper limit, because the measurements are estimates themselves
+        silent: number of steps in which measured tracks exist, but none is reported, as all are too uncertain
+        verdict: `overconfident` or `overcautious` if the interval is beyond LIMIT or its inverse, else None
 
         Innovations of a consistent tracker are independent of each other (Bar-Shalom, Li, Kirubarajan 2001, 5.4.2), so
         every pair counts.

@@ -1,6 +1,4 @@
-"""Key-expression maps: which nodes exchange messages on which key.
-
-Also nodes that are inserted into wires. Pure functions.
+"""Key-expression maps: which nodes exchange messages on which key, and which are inserted there. Pure functions.
 
 A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inserts nodes, or adds subscribers.
 
@@ -9,7 +7,7 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
     message = "detections"
     from = "simulator.detections"         # role.port
     to = ["agent.detections"]
-    direction = "sensor"                  # optional, as other properties: see `model.Traits`
+    direction = "sensor"                  # optional, as other properties of a wire: see `Traits`
 
     [[insert]]
     wire = "agent/{agent}/detections"     # or one agent's wire: "agent/ego/detections"
@@ -96,7 +94,7 @@ _PLACEHOLDER = re.compile(r"\{([a-z_]+)\}")
 _ENDPOINT = re.compile(r"(other )?([a-z_]+)\.([a-z_]+)")
 
 #: The keys of an entry of each kind: required, optional.
-_KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "wire": (("key", "message", "from", "to"), tuple(each.name for each in fields(Traits))),
     "insert": (("wire", "role"), ("input", "output", "to", "node", "optional")),
     "listen": (("wire", "role", "input"), ("leg", "node", "optional")),
@@ -148,7 +146,7 @@ def resolve(
         if not _CHUNK.fullmatch(name):
             raise WiringError(f"node {name!r}: a node's name is one chunk of a key expression: letters, digits, _ . -")
     for file, content in sources:
-        _check_keys(content, _KEYS, file)
+        _check_keys(content, KEYS, file)
     wires: dict[str, Wire] = {}
     places: dict[str, str] = {}  # of the entries, by key
     templates: dict[str, list[str]] = {}
@@ -415,7 +413,7 @@ def _listed(to: object) -> list[object]:
 
 def _entries(sources: Sources, kind: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yield (place, entry) of one kind; raises WiringError for invalid entries."""
-    required, optional = _KEYS[kind]
+    required, optional = KEYS[kind]
     for file, content in sources:
         entries = content.get(kind, ())
         if isinstance(entries, Mapping):

@@ -24,8 +24,8 @@ DIRECTIONS = SENSOR, UP, DOWN = "sensor", "up", "down"
 class Traits:
     """What a wire is for, as its entry in a key-expression map says. All nodes and measurements go by it.
 
-    direction: one of DIRECTIONS, for the agent in its key, or for all agents
-    estimate: name of the estimate that its messages are, which is scored; empty: none
+    direction: for the agent in its key, or for all agents: "up" (it sends), "down" (it receives), "sensor"
+    estimate: name of the estimate that its messages are, which is scored as it is sent; empty: none
     of:       key of another wire of the same sender, whose messages have the same errors of the sender's pose
     fuse:     whether a node that has no port of its own for it (`Node.takes`) fuses its objects
     itself:   whether its only object is its sender
@@ -323,7 +323,14 @@ class Wiring:
         return Ports(inputs, outputs, self.codecs, {leg.publisher.port: wire.message for wire, leg in own})
 
     def to_json(self) -> dict[str, Any]:
-        """The content of wiring.json; `from_json` reads it back."""
+        """The content of wiring.json; `from_json` reads it back.
+
+        Keys:
+        wires: each with `key`, `subject`, `message`, `codec`, properties, `publisher`, `subscribers`, `interposers`,
+            `listeners`, and `legs`: `key`, `from`, `to` with their ports, and `before` on a branch to one subscriber
+        overhearers: `node` and `port` that receive every key
+        nodes: by name, `role`, and what its inputs affect
+        """
 
         def leg_json(leg: Leg, before: str = "") -> dict[str, Any]:
             return {

@@ -321,7 +321,8 @@ def test_a_plugin_does_not_change_the_default_of_a_part_with_one_class() -> None
 def test_the_plugin_for_data_sets_the_tutorials_and_all_pages_use_public_names_only() -> None:
     rows = re.findall(r"^\| `(mast_zenoh[\w.]*)` \| (.*) \|$", PAGE, flags=re.M)
     public = {f"{module}.{name}" for module, names in rows for name in re.findall(r"`(\w+)`", names)}
-    public |= set(re.findall(r"`(mast_zenoh\.[\w.]+)`", (DOCS / "api.md").read_text().partition("## Base classes")[2]))
+    bases = (DOCS / "ref-python.md").read_text().partition("## Base classes")[2]
+    public |= set(re.findall(r"`(mast_zenoh\.[\w.]+)`", bases))
     sources = {path.name: path.read_text() for path in Path(mast_datasets.__file__ or "").parent.glob("*.py")}
     for page in DOCS.glob("*.md"):
         blocks = re.findall(r"^```python\b.*?\n(.*?)^```$", page.read_text(), flags=re.S | re.M)

@@ -63,7 +63,7 @@ class SshAddress:
 class SshHost(SshAddress):
     """A host, and which nodes run there.
 
-    address: name or address
+    name: by which this file names it;  address: name or address, by which it is reached
     nodes: names of nodes, with * and ?; roles: it runs a share of the nodes with these roles; an empty list: none
     spread: whether it also runs a share of the remaining nodes
     """
@@ -91,7 +91,8 @@ class SshHost(SshAddress):
 class Router:
     """Where the router is.
 
-    on: name of a host, or LAUNCHER; address: as seen from the hosts, empty: detected; port: 0: any
+    on: name of a host, or `launcher`: where `mast` runs
+    address: as seen from the hosts, empty: detected;  port: on which it listens; 0: any
     """
 
     on: str = LAUNCHER
@@ -106,7 +107,8 @@ class Router:
 class HostsFile:
     """The content of hosts.toml.
 
-    place: of the file; patience_s: how long nodes and the host's supervisor run without a launcher
+    place: of the file;  hosts: by name;  router: where it is
+    patience_s: s, how long nodes and the host's supervisor run without a launcher
     """
 
     place: str

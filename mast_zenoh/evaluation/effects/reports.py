@@ -256,6 +256,14 @@ def summary(
     """Summarise each interposer and the agreement of its reports.
 
     counts: by interposer;  passages: each with the number of messages that it received
+
+    Keys:
+    role, wires: of the node; keys of the wires that it is on
+    messages: number that it received
+    effects: by effect, the number that was measured
+    absent: effects of its absence
+    reports, unreported, unfounded: reports; effects without a report; reports without an effect
+    agreement: `agrees`, `silent`, `disagrees` or `nothing to report`
     """
     return {
         node: {

@@ -39,6 +39,11 @@ def run(folder: Path, resolved: Resolved) -> list[Check]:
     """Check the run in a folder, and write checks.json there.
 
     Without a recording, only the process check and the user's checks run.
+
+    Keys:
+    checks: each with `name`, `ok` (null: skipped), `detail` and `values`
+    heals_s: times at which faults ended
+    converged_after_s: after which the picture was as without them; null: not known
     """
     heals: list[float] = []
     try:

@@ -266,6 +266,17 @@ def as_csv(rows: Sequence[Row], facts: StudyFacts) -> str:
     """A line per configuration and series, with all digits; unknown numbers are empty.
 
     p_holm is p adjusted for all contrasts of the tables (`compare`), and empty for other series.
+
+    Columns:
+    configuration: label; a column for each parameter of a grid follows it
+    who, estimator, metric: as in results.parquet
+    mean, std_over_frames: over the frames of all trials
+    mean_over_trials, low, high: mean over seeds, and its 95 % interval
+    scenes_low, scenes_high: the same interval, to other scenes as well; from five scenes on
+    p: of a difference from the baseline, see docs/studies.md
+    zero_share, zero_low, zero_high: share of the trials in which a difference is 0, and its exact 95 % interval
+    p_holm: p adjusted for all contrasts of the tables
+    scenes, seeds, seeds_left_out: how many count; seeds without a value in some scene
     """
     adjusted = compare(rows, facts.baseline).adjusted
     parameters = list(dict.fromkeys(name for row in rows for name in row.point))

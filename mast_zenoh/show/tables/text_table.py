@@ -349,6 +349,15 @@ def numbers_of_rows(rows: Sequence[Row]) -> tuple[Sequence[str], Sequence[Sequen
     """The headings and lines of a CSV file with a line for each row and measure.
 
     The first row has all names of what rows are of; those that others lack are empty.
+
+    Columns:
+    measure: what is measured; a column for each name of what a row is of, such as a factor, precedes it
+    value: over the trials
+    low, high: bounds of its interval; empty: too few trials
+    interval: how the interval was computed
+    p: of a difference
+    zero_share, zero_low, zero_high: share of the trials in which a difference is 0, and its exact 95 % interval
+    trials, trials_left_out: number of trials that count, and of those without a value
     """
     names = [*rows[0].of] if rows else []
     lines = [

@@ -177,7 +177,13 @@ def _value(value: Any) -> str:
 
 
 def candidates_csv(results: SearchResults) -> str:
-    """All candidates with all digits, in the order in which they were proposed."""
+    """All candidates with all digits, in the order in which they were proposed.
+
+    Columns:
+    candidate, batch: number of the candidate, and of the batch in which it was proposed; its parameters follow
+    value: of the objective
+    best: the best one so far
+    """
     space, batch = results.plan.space, results.plan.batch
     lines = [
         [each.number + 1, each.number // batch + 1, *(each.params[name] for name in space), *digits(*values)]

@@ -81,8 +81,8 @@ class Connection:
 def connection_of_scenario(config: Any, place: str) -> Connection:
     """The connection in the part `ros2` of a scenario, which is also that of its nodes of ROS 2.
 
-    config: besides the keys of a connection, `every_frame`: in lock-step, the bridge sends all frames, and not only as
-            many as cost the run nothing
+    config: a dict of the keys of a connection and of one more, each optional
+    every_frame: whether in lock-step the bridge sends all frames, and not only as many as cost the run nothing
 
     Raises ConfigurationError as `Connection.of` does.
     """
