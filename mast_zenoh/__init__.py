@@ -6,8 +6,8 @@ Nodes are real processes.
     run = mast.run("uncoordinated", n_adversaries=2, frames=60, seed=3)
     run.plot.over_time("fp")
 
-docs/python.md shows the whole API, docs/stability.md lists what is stable. Names are imported on first use, because
-processes of nodes import this package too and do not need them.
+docs/how-to-python.md shows the whole API, docs/stability.md lists what is stable. Names are imported on first use,
+because processes of nodes import this package too and do not need them.
 """
 
 from __future__ import annotations

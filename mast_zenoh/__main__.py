@@ -46,7 +46,7 @@ except (ImportError, MemoryError) as _error:
 
 
 def main() -> None:
-    """Run the command and exit with its code (docs/exit_codes.md)."""
+    """Run the command and exit with its code (docs/ref-exit-codes.md)."""
     standard_streams.replace()
     try:
         from mast_zenoh.cli import app

@@ -1,6 +1,6 @@
 """All errors of this package, as one tree.
 
-Each error that can end a command has its own exit code (docs/exit_codes.md).
+Each error that can end a command has its own exit code (docs/ref-exit-codes.md).
 
     MastError                     1   any error that is not listed below
     ├── ConfigurationError       10   a scenario or study is invalid

@@ -1,6 +1,6 @@
 """The order of the package's layers, written once: imports only go down this list.
 
-The import test, docs/architecture.md and the fingerprint of a version read it.
+The import test, docs/explanation-architecture.md and the fingerprint of a version read it.
 """
 
 from __future__ import annotations

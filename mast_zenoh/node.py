@@ -253,7 +253,7 @@ class Node:
         """Called once, after the last frame, when publishing is over; returns results.
 
         `tables` of the results are the node's tables, columns by name; `Context.append` has already taken others. It
-        may take as long as it makes progress (docs/endings.md).
+        may take as long as it makes progress (docs/explanation-architecture.md#how-a-run-ends).
         """
         return {}
 

@@ -1,8 +1,8 @@
 """Agents on two hosts: one host is cut off for five seconds and reconnects.
 
 Everything else is at the centre.
-The hosts are network namespaces of this machine (docs/network.md): this needs root, iproute2 and nftables. Slow links:
-`--set hosts.west.delay_ms=20`.
+The hosts are network namespaces of this machine (docs/how-to-hosts.md#real-networks-on-one-machine): this needs root,
+iproute2 and nftables. Slow links: `--set hosts.west.delay_ms=20`.
 """
 
 from baseline import scenario as baseline

@@ -6,7 +6,7 @@ from mast_zenoh.study.defences.matrix import DefenceMatrix
 # Adversaries that know the defence.
 ADAPTIVE = "BlindSpot,Mimic,SlowDrift,Sleeper,Collusion,Framing,Replay,GhostAhead,StatePerturbation,PoseDrift"
 
-# docs/defence_studies.md says what each one is for, and how long it takes.
+# docs/explanation-defences.md#run-the-studies says what each one is for, and how long it takes.
 # What the presets after full have, unless they say otherwise.
 ONE = dict(
     defences="FaultOrLie",

@@ -32,7 +32,7 @@ DRIVER = dict(
 #: time. One seed of each, so that pairs are independent of each other.
 JUNCTIONS = (5, 8, 13, 14, 15, 16, 17, 19, 20, 21, 22, 27, 29, 30, 33, 34, 36, 37, 38, 39)
 JUNCTIONS += (40, 43, 44, 45, 46, 49, 50, 53, 54, 57)
-# On two cores, quick takes a minute or two and full 25 minutes (docs/driving.md).
+# On two cores, quick takes a minute or two and full 25 minutes.
 PRESETS = dict(
     quick=dict(attacks="phantom_queue@picture,phantom_queue@tracks", scenes="intersection:6,intersection:13", trials=1),
     full=dict(attacks=ATTACKS, scenes=",".join(f"intersection:{index}" for index in JUNCTIONS), trials=1),

@@ -14,7 +14,7 @@ ADVERSARIES = (
 COUNTED = (
     "coordinated,uncoordinated,BlindSpot,Mimic,Collusion,Framing,GhostAhead,OpenDispute,PairedDenial,TrustFlip,Flood"
 )
-# On two cores, quick takes a minute; docs/scoreboard.md has the time of scoreboard, docs/defence_studies.md of full.
+# On two cores, quick takes a minute.
 PRESETS = dict(
     quick=dict(
         defences="FaultOrLie,Cad", adversaries="coordinated,OpenDispute", kinds="poles,cars", counts=(2,), trials=2

@@ -1,4 +1,4 @@
-"""Ends runs at random moments and checks what docs/endings.md promises.
+"""Ends runs at random moments and checks what docs/explanation-architecture.md#how-a-run-ends promises.
 
 The moments and ways to end are drawn from a seed.
 

@@ -95,7 +95,7 @@ def search(out: Path, workshop: Workshop) -> None:
 
 
 def cooperation(out: Path, workshop: Workshop) -> None:
-    """The figure of `mast study cooperation`, as on docs/v2x.md: 6 minutes on two cores."""
+    """The figure of `mast study cooperation`, as on docs/explanation-v2x.md: 6 minutes on two cores."""
     finished = mast.study(
         "cooperation", out=workshop.folder / "cooperation", architectures="centre,peers,radio", agents="5,20"
     )

@@ -35,7 +35,7 @@ from mast_zenoh.sensing import sensor_pose, to_world
 MATCH_M, RANGE_M, LONG_FRAMES = 2.0, 100.0, 5
 MOVING_MPS, LANE_M, AHEAD_M, ALONG_DEG = 1.0, 2.0, 60.0, 20.0
 VEHICLES = [CLASS_INDEX[name] for name in ("car", "truck", "bus")]
-#: What is measured, as it is in real data (docs/scenes.md).
+#: What is measured, as it is in real data (docs/how-to-scenes.md).
 REAL = {
     "life of a false detection, frames": "2.2 to 2.3",
     "share of them in runs of 5 and more": "39 to 42 %",

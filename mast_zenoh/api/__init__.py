@@ -1,6 +1,6 @@
 """Runs as Python objects for notebooks and scripts: `import mast_zenoh as mast`.
 
-See docs/python.md.
+See docs/how-to-python.md.
 
     runs         that object: the model of `runs`, with plots, report, exports and films; run: a scenario in, a run
                  out; open: a run folder in, the same object out

@@ -76,7 +76,7 @@ class OpenedRun(Run):
             return page.write_report(self.path, frame, None if against is None else against.path)
 
     def export(self, to: str, out: str | Path) -> Exported:
-        """Write the finished run in another format (docs/exports.md).
+        """Write the finished run in another format (docs/how-to-export.md).
 
         to: a format of that page;  out: a new file or folder
 
@@ -99,7 +99,7 @@ class OpenedRun(Run):
         fps: float | None = None,
         **look: Any,
     ) -> Path:
-        """Write a film of the finished run (docs/animations.md); returns its path.
+        """Write a film of the finished run (docs/how-to-export.md#films-and-figures); returns its path.
 
         out:        a new file that ends with .mp4, .gif or .webm;  against: another run to show beside it
         start, end: first and last frame, by default of the run, at most 3000;  speed: over that of the scene
@@ -192,7 +192,7 @@ def run(
     record:     write every message, for `Run.messages`, `.truth` and `.picture`
     report:     also write report.html
     endpoint:   address of a running Zenoh router, tcp/HOST:PORT
-    secure:     security level of the mesh: certificates and access control (docs/security.md)
+    secure:     security level of the mesh: certificates and access control (docs/explanation-security.md)
     allow_failures, allow_churn: count a run as ok although a handler failed, or a node was lost
 
     Raises ConfigurationError, WiringError or SceneError before anything starts, and RunError if the run fails; the

@@ -197,7 +197,7 @@ def prepare(
 
     scene:      a short name ("intersection:2", "av2:PATH", …), a dict(type=…) with the parameters of a scene, the
                 Python file of a scenario, whose scene it is, or a file of `save` or scene.npz of a run; None: from
-                arrays, `mast.scene(times_s=…, position=…)` (docs/scenes.md), and without any, "intersection"
+                arrays, `mast.scene(times_s=…, position=…)` (docs/how-to-scenes.md), and without any, "intersection"
     seed:       seed of its random draws; None: the scenario's seed, otherwise 0
     frames:     number of frames; None: all of the scene
     parameters: of the scene; with a file, of its `scenario` function

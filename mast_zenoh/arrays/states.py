@@ -39,7 +39,8 @@ class ObjectStates:
     size:       (n, 3) float64, m, length width height
     yaw:        (n,) float64, rad, heading of the length axis, counter-clockwise from x
     covariance: (n, 9, 9) float64, of [x y z l w h vx vy vz]
-    score:      (n,) float64, in [0, 1], evidence that the object exists: ranks objects (docs/tracking.md, "Ranking")
+    score:      (n,) float64, in [0, 1], evidence that the object exists: ranks objects
+    (docs/explanation-tracking-and-fusion.md, "Ranking")
     class_id:   (n,) uint8, index into CLASSES
     """
 

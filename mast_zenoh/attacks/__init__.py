@@ -20,7 +20,7 @@
     flood        an attack on the time of the command centre
     road_ahead    attacks on the road ahead of a car that is driven
 
-Everything is in the world frame; the nodes convert. See docs/attacks.md.
+Everything is in the world frame; the nodes convert. See docs/explanation-threat-model.md.
 """
 
 from mast_zenoh.attacks import attack, disputes, evasion, flood, phantoms, real_objects, road_ahead  # noqa: F401 (found by name)

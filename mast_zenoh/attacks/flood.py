@@ -26,9 +26,9 @@ class Flood(ObservingAttack):
 
     The cars stand in a square grid around the victim, whether it could see them or not: this attack is after processor
     time, and does not hide. Their scores are the highest, so that a receiver that cuts messages drops real rows first
-    (docs/security.md). On the view's wire the sensor claims to see nothing, so that the agent's own view contradicts no
-    car. It has no budget, and goes on whatever is thought of its agent, because a suspended agent's rows are still
-    received, clustered and judged.
+    (docs/explanation-security.md). On the view's wire the sensor claims to see nothing, so that the agent's own view
+    contradicts no car. It has no budget, and goes on whatever is thought of its agent, because a suspended agent's rows
+    are still received, clustered and judged.
 
     Threat model: the attacker controls one agent's tracks (and view), or its detections, and knows nothing but these.
     It needs to know about how many rows receivers accept: 16, and twice the most that an agent detects in the scene.

@@ -1,7 +1,7 @@
 """Attacks on the road ahead of a car, wherever its driver has taken it: what it would brake for, or hit.
 
 They know the ego's route, as a map and the plans of a fleet tell it, and follow the ego along it. They do not rely on
-its schedule: a car that reacts leaves it (docs/driving.md).
+its schedule: a car that reacts leaves it (docs/explanation-driving.md).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What attackers know of the scene: buildings, sensors and routes, and what the agents cover.
 
 None of it comes from the truth of a run: an attacker can survey buildings and sensors, and can follow the vehicles of a
-fleet on their usual routes. docs/attacks.md lists what it knows and what it does not.
+fleet on their usual routes. docs/explanation-threat-model.md lists what it knows and what it does not.
 """
 
 from __future__ import annotations

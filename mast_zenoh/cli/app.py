@@ -196,7 +196,7 @@ app.command()(runs.report)
 
 
 def carry_out() -> int:
-    """Run the command; returns its exit code (docs/exit_codes.md)."""
+    """Run the command; returns its exit code (docs/ref-exit-codes.md)."""
     os.umask(os.umask(0o022) | 0o022)  # only this user may change a run's files; its nodes inherit the umask
     try:
         app(prog_name="mast")

@@ -98,7 +98,7 @@ Format = Annotated[
     str,
     typer.Option(
         metavar="|".join(FORMATS),
-        help="The format, see docs/exports.md.",
+        help="The format, see docs/how-to-export.md.",
         autocompletion=completion.formats,
         callback=_checked_format,
     ),

@@ -1,4 +1,4 @@
-"""Runs a scenario with nodes in containers or on other hosts; see docs/deploy.md.
+"""Runs a scenario with nodes in containers or on other hosts; see docs/how-to-hosts.md.
 
 engine     what all deployments share: startup, supervision, logs, removal
 engines    finds an engine by its name or its file

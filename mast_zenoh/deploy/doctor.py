@@ -192,6 +192,6 @@ CHECKS: list[Callable[[], Diagnosis]] = [
     lambda: optional("compose", _compose, "apt install docker-compose"),
     lambda: optional("image", _image, "mast deploy image"),
     lambda: optional("ssh", _ssh, "pip install 'mast-zenoh[deploy]'"),
-    lambda: optional("namespaces", _namespaces, "see docs/network.md"),
+    lambda: optional("namespaces", _namespaces, "see docs/how-to-hosts.md#real-networks-on-one-machine"),
     disk_space,
 ]

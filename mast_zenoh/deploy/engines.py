@@ -19,7 +19,7 @@ from mast_zenoh.launch.engine import Engine
 
 _BUILT_IN = {"compose": ("compose", "Compose"), "ssh": ("ssh.engine", "Ssh")}
 #: What serves instead of an engine that there is no more.
-_GONE = {"swarm": "--engine compose runs the nodes on this machine, --engine ssh on several (docs/deploy.md)"}
+_GONE = {"swarm": "--engine compose runs the nodes on this machine, --engine ssh on several (docs/how-to-hosts.md)"}
 #: How an engine in a user's file is named.
 FILE = re.compile(r"(.*\.py)(?::(\w+))?")
 

@@ -12,7 +12,7 @@
     braking       when it brakes, what made that needful, and whether the truth did
     followers     what happens to the traffic behind it
 
-Arrays in, arrays out; `nodes/world.py` and `nodes/driver.py` connect them. See docs/driving.md.
+Arrays in, arrays out; `nodes/world.py` and `nodes/driver.py` connect them. See docs/explanation-driving.md.
 """
 
 from mast_zenoh.driving.driver import Driver, FollowingDriver, Situation, steering

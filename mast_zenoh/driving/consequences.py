@@ -153,7 +153,8 @@ def accelerations(speed: Floats, period_s: float) -> Floats:
 
 
 def consequences(driven: DrivenCar) -> dict[str, Any]:
-    """What happened to a driven car, as numbers for metrics.json; docs/driving.md says how they are measured.
+    """What happened to a driven car, as numbers for metrics.json; docs/explanation-driving.md says how they are
+    measured.
 
     Keys:
     collisions: for each object, its `id`, the first `frame` of contact, the relative speed, m/s, and whether it was
@@ -216,7 +217,8 @@ def consequences(driven: DrivenCar) -> dict[str, Any]:
 
 
 def course(driven: DrivenCar) -> dict[str, Any]:
-    """The course of a driven car as columns of driven.parquet: a row per frame (docs/metrics.md).
+    """The course of a driven car as columns of driven.parquet: a row per frame
+    (docs/explanation-metrics-and-causes.md).
 
     Columns:
     agent: whose car it is
@@ -226,7 +228,7 @@ def course(driven: DrivenCar) -> dict[str, Any]:
     heading: rad, counter-clockwise from east
     speed_mps: along the car
     acceleration_mps2: to the next frame; missing in the last one
-    brake: whether the frame is in a brake, see docs/driving.md
+    brake: whether the frame is in a brake, see docs/explanation-driving.md
     gap_m, ttc_s: to the nearest object in its lane, and least time to collision there; missing: nothing
     """
     frames, truth = len(driven.frames), driven.truth

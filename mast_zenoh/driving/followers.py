@@ -74,7 +74,7 @@ def _on_way(parts: _Parts, along_m: float, half_m: float, objects: RoadUsers, ro
 def behind_car(
     car: VehicleCourse, objects: RoadUsers, ids: Ints, period_s: float, hard_mps2: float, brakes: Sequence[Brake]
 ) -> dict[str, Any]:
-    """The traffic behind a car, "behind" of metrics.json: see docs/driving.md. brakes: of the car"""
+    """The traffic behind a car, "behind" of metrics.json: see docs/explanation-driving.md. brakes: of the car"""
     to_car = behind(car, objects)
     mine = np.isfinite(to_car)
     along = distance_along(car.position)

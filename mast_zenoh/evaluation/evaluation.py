@@ -60,7 +60,7 @@ def attacks(effects: Effects, agreement: Agreement, roles: Mapping[str, str], pe
     wire, message: key of the wire, and its message type
     before_subscriber: the only subscriber that the interposer serves; empty: all
     frame, seq: of the message; -1 if they cannot be read
-    effect: what was done, see docs/effects.md
+    effect: what was done, see docs/explanation-metrics-and-causes.md
     id: of the object in its message; -1: none
     before_x, before_y, before_z, after_x, after_y, after_z: m, places in the world; missing if there is no such place
     vx, vy, vz: m/s, velocity in the world
@@ -308,7 +308,7 @@ class ScoredFrames:
         every_series: series with the same messages as others have rows of their own
 
         Columns:
-        cause: of an error, see docs/metrics.md; empty: none
+        cause: of an error, see docs/explanation-metrics-and-causes.md; empty: none
         by: the adversary that caused it; several are joined by `+`
         """
         data, effects = self.data, self.effects

@@ -1,8 +1,8 @@
 """The evaluation of a run while it goes on: blocks of frames, each with the frames before and after it. Pure.
 
 What its results can depend on is evaluated with a block, so that they are those of an evaluation of the whole run
-(docs/metrics.md names the exceptions). Afterwards its messages are forgotten: what stays are numbers of each frame, and
-sums. A run shorter than a block and what follows it is evaluated as a whole.
+(docs/explanation-metrics-and-causes.md names the exceptions). Afterwards its messages are forgotten: what stays are
+numbers of each frame, and sums. A run shorter than a block and what follows it is evaluated as a whole.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
     plan      conversion of faults to link rules, process steps and bands of the timeline; random lists of faults
     network   hosts and their links
 
-Pure: these modules start, kill and send nothing. See docs/faults.md.
+Pure: these modules start, kill and send nothing. See docs/how-to-scenarios.md#faults.
 """
 
 from mast_zenoh.config.resolved import ACTIONS, ProcessStep

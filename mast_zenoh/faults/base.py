@@ -107,7 +107,7 @@ class RuleFault(Fault):
 
     @abstractmethod
     def as_rule(self) -> Rule | Sequence[Rule]:
-        """The link rule: dict(type=…), see docs/links.md; or several, in order."""
+        """The link rule: dict(type=…), see docs/how-to-scenarios.md#links; or several, in order."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,6 @@
 """Fusion at the command centre: combines the tracks of many agents into one picture.
 
-See docs/tracking.md.
+See docs/explanation-tracking-and-fusion.md.
 """
 
 from mast_zenoh.fusion.base import Clusterer, Fusion, GroupTracker

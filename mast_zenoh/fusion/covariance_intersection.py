@@ -204,7 +204,7 @@ class InverseCovarianceIntersectionFusion(Fusion):
     Where it fails: correlation that is no shared information, such as errors of a common map or clock. The variance in
     some direction can then be twice what it claims (`tests/fusion/test_shared_information.py`). Nor does the promise
     cover the process noise that tracks of one object have in common, or more than two members; with both it was
-    consistent in all that was tried (docs/fusion.md).
+    consistent in all that was tried (docs/explanation-tracking-and-fusion.md).
 
     weights: w is 1/k for the k-th member ("uniform": equally certain members count equally), or that of the least
     determinant of each P within 1 % ("optimised"). Trust in a member multiplies its information, relative to the most

@@ -49,8 +49,8 @@ MIN_MEDIAN_WEIGHT = 0.05
 #: Log-odds are limited to this, either way.
 MAX_LOG_ODDS = 20.0
 
-#: Tails of the statistics on unattacked junctions, see docs/defences.md: of one agent's disputes, of those of a pair,
-#: of what an agent's own reports contradict, and of deviations.
+#: Tails of the statistics on unattacked junctions, see docs/explanation-defences.md: of one agent's disputes, of those
+#: of a pair, of what an agent's own reports contradict, and of deviations.
 CONTRADICTION_TAIL = Tail(per_hour=54.0, scale=0.63)
 PAIR_TAIL = Tail(per_hour=94.0, scale=0.68)
 OWN_TAIL = Tail(per_hour=40.0, scale=0.248)

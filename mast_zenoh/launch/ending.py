@@ -1,6 +1,6 @@
 """Maps every ending to an error, a status in run.json and an exit code.
 
-docs/endings.md has the tables of all endings, and its tests read them.
+tests/support/endings_table.py lists all of them; docs/explanation-architecture.md#how-a-run-ends tells the main ones.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whether nodes that are to finish make progress, and for how long that is enough; docs/endings.md has the table."""
+"""Whether nodes that are to finish make progress, and for how long that is enough."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@
     content   changed messages: ClockSkew, PoseError, Corrupt; changed detections: BlindSector, GhostDetections
     chain     the sequence of rules of one wire; profiles: wired, wireless_v2x, …
 
-`nodes/link.py` applies them. See docs/links.md.
+`nodes/link.py` applies them. See docs/how-to-scenarios.md#links.
 """
 
 from mast_zenoh.links.base import Passage, Rule, SenderPose, Sensed

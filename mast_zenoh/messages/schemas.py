@@ -1,6 +1,6 @@
 """Message types: a table per type, with column, dtype, shape and unit.
 
-docs/messages.md is generated from this module.
+docs/ref-messages.md is generated from this module.
 
 A message is a header and a body of columns. In a shape, letters are sizes that must agree within one message
 (`n` rows are n objects, `a` rows are a agents); numbers are fixed. Users' nodes can declare more types (`user_types`).

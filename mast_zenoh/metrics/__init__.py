@@ -19,7 +19,7 @@
     increments  errors added by an attack
     study_results    the results of studies, as reports show them
 
-See docs/metrics.md.
+See docs/explanation-metrics-and-causes.md.
 """
 
 from mast_zenoh.arrays.boxes import Boxes

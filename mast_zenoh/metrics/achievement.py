@@ -1,6 +1,6 @@
 """Success of the adversaries: which of their manipulations were believed, where, and for how long.
 
-Pure; see docs/metrics.md.
+Pure; see docs/explanation-metrics-and-causes.md.
 """
 
 from __future__ import annotations
@@ -273,7 +273,7 @@ def summary(targets_: Manipulated, switched: Mapping[str, Sequence[str]], period
     switched: see `switches`
 
     What ends in `…` is of the picture, `centre`, and of the ego's mission estimate, `ego`. A share is None if no object
-    counts; docs/metrics.md says what counts.
+    counts; docs/explanation-metrics-and-causes.md says what counts.
 
     Keys:
     inserted, hidden, moved, altered: number of objects

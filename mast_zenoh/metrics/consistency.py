@@ -1,7 +1,7 @@
 """Consistency: whether estimates are as accurate as their covariances say.
 
 Normalised estimation error squared (NEES; Bar-Shalom, Li, Kirubarajan 2001, section 5.4) of matched pairs of a track
-and a truth object. Pure; docs/metrics.md.
+and a truth object. Pure; docs/explanation-metrics-and-causes.md.
 """
 
 from __future__ import annotations

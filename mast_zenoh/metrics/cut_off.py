@@ -1,7 +1,7 @@
 """Objects known only to disconnected agents.
 
 Their tracks did not reach the broker in time.
-Pure; docs/metrics.md.
+Pure; docs/explanation-metrics-and-causes.md.
 """
 
 from __future__ import annotations

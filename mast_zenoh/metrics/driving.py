@@ -1,6 +1,7 @@
 """Consequences of estimates for driving: corridor objects, times to collision, braking.
 
-Open loop: the corridor is along the path that the vehicle drove in the scene. Pure; docs/metrics.md.
+Open loop: the corridor is along the path that the vehicle drove in the scene. Pure;
+docs/explanation-metrics-and-causes.md.
 """
 
 from __future__ import annotations

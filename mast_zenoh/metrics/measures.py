@@ -1,7 +1,7 @@
 """Metrics, one class each: its key, words and unit, and what it computes for every estimate of every agent.
 
 Users' metrics go the same way as ours: `measured` puts their values into metrics.json and metrics.parquet, and tables
-and figures take what they show from there. Pure; see docs/metrics.md.
+and figures take what they show from there. Pure; see docs/explanation-metrics-and-causes.md.
 """
 
 from __future__ import annotations

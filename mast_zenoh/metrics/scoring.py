@@ -33,7 +33,7 @@ _NONE_EARLIER: LastMatches = MappingProxyType({})
 
 
 class Scorer:
-    """Compares estimates with the truth (docs/metrics.md).
+    """Compares estimates with the truth (docs/explanation-metrics-and-causes.md).
 
     For each agent and frame, the truth consists of the objects within `range_m` of the agent (bird's-eye view) with at
     least `min_points` lidar points of at least one agent; tracks beyond the same range are left out. A pair of the

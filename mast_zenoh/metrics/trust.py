@@ -1,6 +1,6 @@
 """What a command centre's trust in agents and objects is worth, compared with how they behaved.
 
-Pure: arrays in, arrays and plain dicts out. See docs/metrics.md.
+Pure: arrays in, arrays and plain dicts out. See docs/explanation-metrics-and-causes.md.
 """
 
 from __future__ import annotations

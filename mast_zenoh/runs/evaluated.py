@@ -49,7 +49,7 @@ class Score(NamedTuple):
 class MeasuredEffects(NamedTuple):
     """n measured effects of interposers on messages about a frame.
 
-    interposer, role, wire, effect: (n,) text, see docs/effects.md
+    interposer, role, wire, effect: (n,) text, see docs/explanation-metrics-and-causes.md
     before, after: (n, 3) m, world frame; NaN where there was no object, or none after
     """
 

@@ -230,7 +230,7 @@ def fault_spans(run: Run, agent: str, end_s: float) -> list[tuple[str, float, fl
 
 
 def suspensions(run: Run) -> list[dict[str, Any]]:
-    """All suspensions of a run in the order of their beginnings, each with its agent; see docs/metrics.md."""
+    """All suspensions of a run in the order of their beginnings, each with its agent."""
     return _judgements(run, "suspensions")
 
 

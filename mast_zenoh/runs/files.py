@@ -5,7 +5,7 @@ run.json: how the run was made, went on and ended; at its beginning, and again a
 scenario.json: the resolved scenario: every option of every node
 wiring.json: every wire: key, message type, publisher, subscribers, interposers
 scene.npz: the prepared scene that the simulator replays; with driven cars, in the end the scene as it happened
-messages.mcap: every message, see docs/recording.md; not with --no-record
+messages.mcap: every message, see docs/how-to-record-and-replay.md; not with --no-record
 logs/NODE.log: what each process logged
 metrics.json: the summary of the evaluator, at the end
 metrics.parquet: a row per frame, agent and estimate

@@ -35,10 +35,10 @@ class WireMessage:
 
     wire:      key expression without the run's prefix: `agent/ego/tracks`
     tap:       whether it was sent on a hidden leg of the wire, before an interposer
-    type:      message type, a section of docs/messages.md, or one that a node of the scenario declares
+    type:      message type, a section of docs/ref-messages.md, or one that a node of the scenario declares
     publisher: name of the node that published it
     frame:     frame number;  time_s: s since the scene began;  seq: its number on the wire
-    body:      read-only columns by name, as in `Received.body`, with the shapes and units of docs/messages.md
+    body:      read-only columns by name, as in `Received.body`, with the shapes and units of docs/ref-messages.md
     """
 
     wire: str

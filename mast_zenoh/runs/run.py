@@ -352,14 +352,14 @@ class Run:
 
     @property
     def record(self) -> dict[str, Any]:
-        """run.json: id, status, seed, versions, timings, node endings (docs/endings.md)."""
+        """run.json: id, status, seed, versions, timings, node endings (docs/explanation-architecture.md)."""
         if self.files.is_live:
             return self.files.record
         return liveness.current_record(read_object(self._folder / "run.json"))
 
     @property
     def status(self) -> str:
-        """`running`, `ok`, or another status (docs/endings.md)."""
+        """`running`, `ok`, or another status (docs/explanation-architecture.md#how-a-run-ends)."""
         return str(self.record.get("status", ""))
 
     @property
@@ -374,7 +374,7 @@ class Run:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """metrics.json: means and deviations over scored frames (docs/metrics.md)."""
+        """metrics.json: means and deviations over scored frames (docs/explanation-metrics-and-causes.md)."""
         return dict(self._written("metrics.json", read_json))
 
     @property
@@ -388,27 +388,27 @@ class Run:
 
     @property
     def objects(self) -> pyarrow.Table:
-        """A row per box in range of an agent: outcome and pose, m, rad (docs/metrics.md)."""
+        """A row per box in range of an agent: outcome and pose, m, rad (docs/explanation-metrics-and-causes.md)."""
         return self._table("objects.parquet")
 
     @property
     def attacks(self) -> pyarrow.Table:
-        """A row per measured effect of an interposer; may be empty (docs/effects.md)."""
+        """A row per measured effect of an interposer; may be empty (docs/explanation-metrics-and-causes.md)."""
         return self._table("attacks.parquet")
 
     @property
     def targets(self) -> pyarrow.Table:
-        """A row per frame and object that an adversary manipulated (docs/metrics.md)."""
+        """A row per frame and object that an adversary manipulated (docs/explanation-metrics-and-causes.md)."""
         return self._table("targets.parquet")
 
     @property
     def driving(self) -> pyarrow.Table:
-        """A row per frame, vehicle and estimate: effects on driving (docs/metrics.md)."""
+        """A row per frame, vehicle and estimate: effects on driving (docs/explanation-metrics-and-causes.md)."""
         return self._table("driving.parquet")
 
     @property
     def driven(self) -> pyarrow.Table:
-        """A row per frame and driven car: its course (docs/metrics.md).
+        """A row per frame and driven car: its course (docs/explanation-metrics-and-causes.md).
 
         Raises RunFolderError for a run without drivers.
         """
@@ -416,7 +416,7 @@ class Run:
 
     @property
     def trust(self) -> pyarrow.Table:
-        """A row per frame and agent: the command centre's trust (docs/metrics.md).
+        """A row per frame and agent: the command centre's trust (docs/explanation-metrics-and-causes.md).
 
         Raises RunFolderError for a run whose command centre judges nobody.
         """

@@ -128,7 +128,7 @@ def _yaw(q: Sequence[float], sensor_rotation: Floats) -> float:
 
 
 class OwnDetections(Scene):
-    """A scene whose detections come from files, see docs/scenes.md.
+    """A scene whose detections come from files, see docs/how-to-scenes.md.
 
     scene:       where everything else comes from
     path:        a .jsonl or .parquet file, or a folder with a text file for each agent (KITTI, AB3DMOT)
@@ -396,7 +396,7 @@ _OPTIONAL = ("score", "class", "truth_id", *_COVARIANCE)
 
 
 def read_parquet(path: Path, agents: Sequence[str], first_frame: int) -> DetectionRows:
-    """The detections in a Parquet file, see docs/scenes.md.
+    """The detections in a Parquet file, see docs/how-to-scenes.md.
 
     first_frame: number of the scene's first frame in the file. A frame without rows has no detections.
     Raises SceneError with the column and the row.

@@ -173,7 +173,8 @@ class DetectionModel(Detector):
 
     The defaults approximate lidar detectors on two real cooperative data sets (0.3 to 0.6 m error per axis,
     about two false positives a frame, a precision of about 0.8, a recall of about 0.65). Errors, misses and clutter
-    last as long as in the published detections of V2V4Real's two cars (Xu et al. 2023). docs/scenes.md compares them.
+    last as long as in the published detections of V2V4Real's two cars (Xu et al. 2023). docs/how-to-scenes.md compares
+    them.
 
     min_points:        an object with fewer returns is not detected
     points_scale:      number of returns at which 63 % of objects are detected
@@ -407,7 +408,7 @@ class LastingErrors(DetectionModel):
     The score of an object is the logistic function of a normal number, with mean `score_at_scale` plus the logarithm of
     its returns relative to `points_scale`, limited to 1.5 up and down; that of clutter has the mean
     `clutter_score_mean`. The defaults are like the raw output of real detectors, which has many weak false detections;
-    docs/scenes.md has recall and precision.
+    docs/how-to-scenes.md has recall and precision.
 
     score_at_scale, clutter_score_mean, score_std: mean and standard deviation of the logit of scores
     The other parameters are those of `DetectionModel`, except for `white` and the scores.

@@ -1,6 +1,6 @@
 """What is seen of a run or of compared runs: pages, tables, figures, films, and files for other programs.
 
-See docs/report.md and docs/studies.md.
+See docs/how-to-read-a-report.md and docs/how-to-studies.md.
 
 comparison         the reference run of a comparison;  compare  the scores of several runs side by side
 run_figure         the base class of figures of a run, those of users included

@@ -16,7 +16,7 @@ The package can be called: `mast_zenoh.study("case_study")` carries out a study.
     attacked_run  what an attacker without a role achieves at each security level
     defences/   studies of defences against adversaries
 
-See docs/studies.md.
+See docs/how-to-studies.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A run that plays while somebody without a role in it attacks: the attacker's access, and what each attempt achieves.
 
-`compare` makes the attempts of a study file at every security level (docs/security.md).
+`compare` makes the attempts of a study file at every security level (docs/explanation-security.md).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ OUTSIDER = "outsider"
 #: The row of messages that belong to no attempt; their number should be 0.
 STRAY = "(anything else)"
 FILES = ("attempts.md", "attempts.csv")
-ABOUT = "At each level an outsider made all attempts of a table in one run: see docs/security.md."
+ABOUT = "At each level an outsider made all attempts of a table in one run: see docs/explanation-security.md."
 CAPTION = "in: forged messages that reached a node; out: samples overheard; lured: nodes at the outsider's router."
 
 _JOIN_MS = 1500

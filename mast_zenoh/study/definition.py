@@ -29,12 +29,12 @@ KEYS = {
     "seed": "the first seed",
     "frames": "frames of each run, None for all",
     "runtime": "mesh or inproc",
-    "kind": "what is measured of each trial, and the tables and figures: a subclass of Kind (docs/studies.md)",
+    "kind": "what is measured of each trial, and the tables and figures: a subclass of Kind (docs/how-to-studies.md)",
     "per_trial": "launch-time parameters that get each trial's seed and frames: dict(seed=…, frames=…)",
-    "search": "parameters of a run that are searched for the greatest harm (docs/searches.md)",
+    "search": "parameters of a run that are searched for the greatest harm (docs/how-to-studies.md)",
     "driven": "dict(scenario=…, parameters=…, frames=…) with drivers: run after single runs, and its unattacked twin",
     "security": "security levels at which the `attempts` are made",
-    "attempts": "attacks by somebody without a role in the run: a list of Attempt (docs/security.md)",
+    "attempts": "attacks by somebody without a role in the run: a list of Attempt (docs/explanation-security.md)",
 }
 PER_TRIAL = ("seed", "frames")
 #: The label of the run with drivers, and its folder.

@@ -41,7 +41,7 @@ class FinishedStudy:
     def table(self) -> pyarrow.Table:
         """The estimates.
 
-        For many trials: a row per configuration and series, with intervals (table.csv, docs/studies.md). If each
+        For many trials: a row per configuration and series, with intervals (table.csv, docs/how-to-studies.md). If each
         configuration was run once: the table of `mast_zenoh.compare`.
         """
         if self.runs:
@@ -63,12 +63,12 @@ class FinishedStudy:
 
     @property
     def results(self) -> pyarrow.Table:
-        """A row per trial and metric (docs/studies.md)."""
+        """A row per trial and metric (docs/how-to-studies.md)."""
         return read_arrow(self._of_trials("results.parquet"))
 
     @property
     def frames(self) -> pyarrow.Table:
-        """A row per trial, frame, agent and estimator (docs/studies.md)."""
+        """A row per trial, frame, agent and estimator (docs/how-to-studies.md)."""
         return read_arrow(self._of_trials("frames.parquet"))
 
     def _of_trials(self, name: str) -> Path:

@@ -1,8 +1,8 @@
 """Means and rates over trials, with 95 % intervals that hold for few trials.
 
 Trials are crossed: every scene is played with the same seeds. Trials that share a scene (its traffic) or a seed (its
-draws) are correlated, so the units here are whole seeds and whole scenes, never single trials. docs/studies.md explains
-the intervals and lists their simulated coverage.
+draws) are correlated, so the units here are whole seeds and whole scenes, never single trials. docs/how-to-studies.md
+explains the intervals and lists their simulated coverage.
 
 Values are arrays (..., scenes, seeds), one value per trial, none missing; leading axes are independent samples.
 

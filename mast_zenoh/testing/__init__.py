@@ -1,4 +1,4 @@
-"""Checks for user-written classes (docs/extending.md).
+"""Checks for user-written classes (docs/how-to-write-a-part.md).
 
 A failed check raises AssertionError, which says what is wrong.
 

@@ -1,6 +1,6 @@
 """Tracking: turns detections or states into tracks with persistent ids.
 
-See docs/tracking.md.
+See docs/explanation-tracking-and-fusion.md.
 """
 
 from mast_zenoh.tracking.association import Assignment, BipartiteAssignment, GreedyAssignment

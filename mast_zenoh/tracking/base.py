@@ -23,7 +23,7 @@ OVERCONFIDENT, OVERCAUTIOUS = "overconfident", "overcautious"
 
 @dataclass(slots=True)
 class Innovations:
-    """Sums over the assigned pairs of a track and a measurement (docs/metrics.md#confidence-and-accuracy).
+    """Sums over the assigned pairs of a track and a measurement (docs/explanation-metrics-and-causes.md).
 
     total:  sum of normalised innovations squared of the horizontal position
     pairs:  number of pairs in `total`: those that steady motion explains

@@ -228,7 +228,7 @@ POSITIVE = (
 class KalmanBoxTracker3D(Tracker):
     """Tracks boxes in the plane of the road with a Kalman filter.
 
-    See docs/tracking.md for the model and the sources of the numbers.
+    See docs/explanation-tracking-and-fusion.md for the model and the sources of the numbers.
 
     position_std_m, vertical_std_m: standard deviation of a detection's horizontal position per axis, and of its height,
         unless it has its own covariance; the former is estimated where none has one, see `detection_noise`

@@ -242,7 +242,8 @@ def isotonic(value: Floats, weight: Floats) -> Floats:
 #: s, span of a new track at which its first stage ends.
 FIRST_DUE = float(STAGES_S[0])
 #: Score below which a confirmed track is doubtful as long as scores are taken for probabilities: of a real detector's
-#: detections that score 0.2 to 0.25, 26 % are true, of those with 0.5 to 0.6, 92 % (docs/tracking.md).
+#: detections that score 0.2 to 0.25, 26 % are true, of those with 0.5 to 0.6, 92 %
+#: (docs/explanation-tracking-and-fusion.md).
 DOUBTFUL = 1.0 / 3.0
 #: m/s, speed from which an established track is known to move. What never moves may be a lasting false detection.
 MOVING = 2.0
@@ -272,7 +273,7 @@ def tempered_probability(tracks: Floats) -> Floats:
     The odds of existence are as if detections in successive frames were independent. They are not: errors last. So
     their likelihoods count with an exponent (a power likelihood: Holmes and Walker, Biometrika 2017), which keeps the
     order. The exponent is the share of frames that are independent evidence: about one sample per second, ten frames
-    (docs/metrics.md). 1/8 is three square roots, which are equal to the last bit on any machine.
+    (docs/explanation-metrics-and-causes.md). 1/8 is three square roots, which are equal to the last bit on any machine.
     """
     power = np.sqrt(np.sqrt(np.sqrt(tracks[:, ODDS])))
     return np.asarray(power / (1.0 + power))

@@ -27,7 +27,7 @@ _KEYS = (*_COMPONENTS, "tracker", "predictor", "state")
 
 @dataclass(kw_only=True, eq=False)
 class StoneSoupTracker(Tracker):
-    """Runs a tracker of the Stone Soup library; see docs/stone_soup.md.
+    """Runs a tracker of the Stone Soup library; see docs/how-to-stone-soup.md.
 
     builder: FILE.py:FUNCTION, next to the scenario, that returns the tracker or its components; "": the default tracker
     options: keyword arguments of the function

@@ -1,4 +1,4 @@
-"""The command line reports errors and exits as in docs/exit_codes.md."""
+"""The command line reports errors and exits as in docs/ref-exit-codes.md."""
 
 import errno
 import json

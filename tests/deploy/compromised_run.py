@@ -159,7 +159,7 @@ def _be_the_insiders(
         with suppress(zenoh.ZError), open_session(settings | client_settings(own)) as session:
             if node in insiders:
                 insiders[node](session, ready["prefix"])
-            while node in again and not over.wait(0.02):  # no flood: docs/security.md covers floods
+            while node in again and not over.wait(0.02):  # no flood: docs/explanation-security.md covers floods
                 again[node](session, ready["prefix"])
                 (folder / "go").touch()
 

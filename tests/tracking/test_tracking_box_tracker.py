@@ -26,7 +26,7 @@ def settled(tracker: KalmanBoxTracker3D, xy, frames: int = 10, **kinds) -> Objec
 
 
 def existence(tracks: ObjectStates) -> np.ndarray:
-    """Probabilities of existence (n,), from the scores, which are tempered (docs/tracking.md, "Ranking")."""
+    """Probabilities of existence (n,), from the scores, which are tempered."""
     odds = (tracks.score / (1.0 - tracks.score)) ** 8
     return odds / (1.0 + odds)
 

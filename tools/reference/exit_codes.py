@@ -7,7 +7,7 @@ from reference import page, table
 from reference.command_line import own_exit_codes
 
 _AFTER = """\
-[endings.md](endings.md) lists, for each way in which a run can end, its status and what is left on the disk.
+[explanation-architecture.md](explanation-architecture.md#how-a-run-ends) says how runs end, and with which status.
 """
 
 

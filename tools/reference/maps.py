@@ -18,7 +18,8 @@ from reference import page, parameter_table, table
 
 _INTRODUCTION = """\
 Look up here what a [key-expression map](glossary.md#key-expression-map) may say, and what the shipped ones add.
-[scenarios.md](scenarios.md#key-expression-maps) shows how to use them; `mast wiring SCENARIO` prints the result."""
+[how-to-scenarios.md](how-to-scenarios.md#key-expression-maps) shows how to use them; `mast wiring SCENARIO` prints the
+result."""
 _COMMENT = re.compile(r"\A((?:#.*\n)+)")
 #: Keys of an entry that have a column of their own.
 _IN_COLUMNS = ("key", "message", "from", "wire", "role", "codec")

@@ -10,13 +10,13 @@ from reference import page, table
 
 _INTRODUCTION = f"""\
 Look up here what each message contains, and which messages a node refuses. Your nodes can declare
-[message types of their own](extending.md#a-message-type).
+[message types of their own](how-to-write-a-part.md#a-message-type).
 
 A message is a MessagePack map: a header (`schema`, `version`, `source`, `frame`, `time_ns`, `seq`) and a
 `body` that maps each column to `[dtype, shape, data]`, the data being raw little-endian bytes in C order.
 In a shape, `n`, `m` and `k` are numbers of objects and `a` is a number of agents. Equal letters in one
 message are equal numbers. `time_ns` is nanoseconds since the scene began: the time of the frame, and in
-`detections` [the time of the measurement](sensors.md#how-times-flow).
+`detections` [the time of the measurement](how-to-sensors.md#how-times-flow).
 
 Coordinate frames are right-handed: x forward (world: east), y left (north), z up. Quaternions are
 (w, x, y, z) of the active rotation into the world.

@@ -13,8 +13,9 @@ from reference import linked, page, table
 from reference.docstrings import described_table, sources
 
 _INTRODUCTION = """\
-Look up here what each number of a run or a study means, its unit and its range. [metrics.md](metrics.md) has the
-formulas, the rules by which objects count, and their sources. Metrics of your own are in the same files."""
+Look up here what each number of a run or a study means, its unit and its range.
+[explanation-metrics-and-causes.md](explanation-metrics-and-causes.md) has the formulas, the rules by which objects
+count, and their sources. Metrics of your own are in the same files."""
 _SCORES = """\
 ## Scores of an estimate
 

@@ -25,7 +25,7 @@ from reference.exit_codes import first_line
 def python_page() -> str:
     """Public names with signatures and docstrings, and base classes."""
     introduction = (
-        "Look up every public name here. [python.md](python.md) shows how they work together,\n"
+        "Look up every public name here. [how-to-python.md](how-to-python.md) shows how they work together,\n"
         "[stability.md](stability.md) lists what is stable."
     )
     return page("Python", "mast_zenoh/__init__.py and tools/surface.py", introduction, _sections())

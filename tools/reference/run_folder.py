@@ -11,8 +11,8 @@ from reference.docstrings import described_table
 
 _INTRODUCTION = """\
 Look up here which files a run and a study write, and what each key and column means. Numbers of metrics.json are in
-[ref-metrics.md](ref-metrics.md). [reading_results.md](reading_results.md) says where to look first, and
-[recording.md](recording.md) how messages.mcap is written.
+[ref-metrics.md](ref-metrics.md). [how-to-read-a-report.md](how-to-read-a-report.md) says where to look first, and
+[how-to-record-and-replay.md](how-to-record-and-replay.md) how messages.mcap is written.
 
 Frames count from 0; frame k is row k of scene.npz. Places are in metres in the world frame: x east, y north, z up. Any
 Parquet reader opens the tables; text is dictionary-encoded, and NaN is a missing value. Readers of run folders ignore

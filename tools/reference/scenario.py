@@ -26,9 +26,9 @@ from reference import linked, page, parameter_table, table
 from reference.docstrings import sources
 
 _INTRODUCTION = """\
-Look up here which keys a scenario, a study and a file of hosts may have. [scenarios.md](scenarios.md),
-[studies.md](studies.md) and [deploy_ssh.md](deploy_ssh.md) show them in use. What a `type` may be is in
-[ref-classes.md](ref-classes.md).
+Look up here which keys a scenario, a study and a file of hosts may have. [how-to-scenarios.md](how-to-scenarios.md),
+[how-to-studies.md](how-to-studies.md) and [how-to-hosts.md](how-to-hosts.md#hosts-with-ssh) show them in use. What a
+`type` may be is in [ref-classes.md](ref-classes.md).
 
 Wherever a scenario has a list of names, it means exactly its members: many, one or none."""
 
@@ -67,7 +67,9 @@ def parts() -> Iterator[Part]:
         yield Part(f"### {cls.__name__}", _text(cls), parameters_of(cls))
     yield Part("## A study", "What `study(…)` in the file of a study returns.", keys=definition.KEYS)
     yield Part("### A run of `runs`", "The values of `runs` by label.", keys=definition.RUN_KEYS)
-    yield Part("### `search`", "See [searches.md](searches.md).", keys=plan.KEYS)
+    yield Part(
+        "### `search`", "See [how-to-studies.md](how-to-studies.md#search-for-the-worst-attack).", keys=plan.KEYS
+    )
     yield Part("### An attempt of `attempts`", _text(definition.Attempt), parameters_of(definition.Attempt))
     hosts = "A TOML file for `mast deploy up --engine ssh`."
     (patience,) = (each for each in parameters_of(HostsFile) if each.name == "patience_s")

@@ -171,7 +171,7 @@ def read(path: Path) -> HostsFile:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "is not UTF-8"
-        raise ConfigurationError(f"{path}: {reason}; docs/deploy.md describes this file") from None
+        raise ConfigurationError(f"{path}: {reason}; docs/how-to-hosts.md describes this file") from None
     return parse(text, str(path))
 
 

@@ -7,7 +7,7 @@ The measurement does not rely on the reports of the interposers themselves.
     table     table of effects in the world frame; inserted objects over time
     reports   comparison with the reports of the interposers
 
-See docs/effects.md.
+See docs/explanation-metrics-and-causes.md.
 """
 
 from mast_zenoh.evaluation.effects.passages import MESSAGE_EFFECTS, Meter

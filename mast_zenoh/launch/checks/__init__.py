@@ -1,6 +1,6 @@
 """Checks on the record of a finished run, which must pass whatever faults occurred.
 
-See docs/faults.md.
+See docs/how-to-scenarios.md#faults.
 
 evidence     the outcome of a check, and the record of a run, read once
 messages     messages delivered in time are in the collation; every gap and every duplicate is explained

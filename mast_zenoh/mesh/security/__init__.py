@@ -1,6 +1,6 @@
 """Secures a mesh against outsiders, and restricts nodes to their own wires.
 
-docs/security.md has the threat model.
+docs/explanation-security.md has the threat model.
 
 levels       open, tls, mtls, acl: the Zenoh settings of each
 authority    one certificate authority per deployment, a certificate per node

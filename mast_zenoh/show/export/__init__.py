@@ -1,4 +1,4 @@
-"""Writes a finished run as files of other programs (docs/exports.md)."""
+"""Writes a finished run as files of other programs (docs/how-to-export.md)."""
 
 from __future__ import annotations
 

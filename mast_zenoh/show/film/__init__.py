@@ -1,4 +1,4 @@
-"""Films and stills of finished runs, for talks and papers (docs/animations.md).
+"""Films and stills of finished runs, for talks and papers (docs/how-to-export.md#films-and-figures).
 
 writing   `animate` and `snapshot`: from the folder of a run to a file; which frame each image shows; Matplotlib's
           writers of films, for GIF, MP4 and WebM

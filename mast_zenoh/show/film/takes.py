@@ -196,7 +196,7 @@ class WindowChoice(NamedTuple):
 
 @dataclass(frozen=True)
 class Look:
-    """Options of `mast animate` and `mast snapshot` (docs/animations.md).
+    """Options of `mast animate` and `mast snapshot` (docs/how-to-export.md#films-and-figures).
 
     agent:     whose estimates are shown; None: the main agent
     estimates: one or two of SHOWN, side by side; None: what the agent's driver believes, without one the picture

@@ -125,7 +125,7 @@ def _unchanged(run: Run, over: Reference | None, *, compared: bool) -> list[Find
 
 
 def braking(run: Run) -> list[Finding]:
-    """How often attacks make the ego brake wrongly by the rule of docs/metrics.md; none where a driver drives it."""
+    """How often attacks make the ego brake wrongly, by the rule of corridor objects; none where a driver drives it."""
     mission = run.files.summary.get("driving", {}).get(run.ego or "", {}).get(MISSION, {})
     shares = {what: mission.get(f"{what}_brake_share_attack") for what in ("needless", "missed")}
     own = run.ego not in drives(run)

@@ -1,9 +1,9 @@
 """Frames of a run, finished or running, as one block of bytes: everything that the page shows of them.
 
-The block holds a header (JSON) and columns of integers (`columns`). `docs/viewer.md` describes the content.
-objects.parquet has a row per box, agent and estimate: a truth object appears up to thirty times in a frame, and the
-picture once for every agent. Here a box is stored once, next to the same object's box in the next frame, so that
-neighbours differ little. Velocities, covariances and classes come from the messages and the scene.
+The block holds a header (JSON) and columns of integers (`columns`). `docs/how-to-read-a-report.md#the-viewer` describes
+the content. objects.parquet has a row per box, agent and estimate: a truth object appears up to thirty times in a
+frame, and the picture once for every agent. Here a box is stored once, next to the same object's box in the next frame,
+so that neighbours differ little. Velocities, covariances and classes come from the messages and the scene.
 """
 
 from __future__ import annotations

@@ -273,7 +273,7 @@ def as_csv(rows: Sequence[Row], facts: StudyFacts) -> str:
     mean, std_over_frames: over the frames of all trials
     mean_over_trials, low, high: mean over seeds, and its 95 % interval
     scenes_low, scenes_high: the same interval, to other scenes as well; from five scenes on
-    p: of a difference from the baseline, see docs/studies.md
+    p: of a difference from the baseline, see docs/how-to-studies.md
     zero_share, zero_low, zero_high: share of the trials in which a difference is 0, and its exact 95 % interval
     p_holm: p adjusted for all contrasts of the tables
     scenes, seeds, seeds_left_out: how many count; seeds without a value in some scene

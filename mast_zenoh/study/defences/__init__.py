@@ -9,5 +9,5 @@
     matrix_table    what a matrix is; matrix_tables, scoreboard (also published figures) and
                     matrix_figures show it
 
-See docs/defence_studies.md.
+See docs/explanation-defences.md#run-the-studies.
 """

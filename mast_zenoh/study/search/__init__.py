@@ -6,7 +6,7 @@
     results    what was found: Optuna's study of the candidates, and each configuration on the other seeds
     report     what a reader sees of it: tables, a figure, files
 
-See docs/searches.md.
+See docs/how-to-studies.md#search-for-the-worst-attack.
 """
 
 from mast_zenoh.errors import ConfigurationError

@@ -13,7 +13,7 @@ from mast_zenoh.testing.simulation.simulation import SimulationOutcome, play
 from mast_zenoh.testing.simulation.world import Schedule, SimulatedWorld, random_schedule
 from mast_zenoh.wiring.model import Wiring
 
-#: Errors with which a run may end; docs/endings.md and docs/exit_codes.md describe them.
+#: Errors with which a run may end; docs/explanation-architecture.md and docs/ref-exit-codes.md describe them.
 ENDINGS = frozenset({"StallError", "StartError", "NodeDied", "ImplausibleCounts", "Interrupted"})
 
 #: Returns how an outcome breaks a promise, in words; nothing if it keeps it.

@@ -295,7 +295,7 @@ _OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 class AVstackScene(DataSetScene):
     """A scene in the CARLA multi-agent layout.
 
-    With its accompanying files, see docs/scenes.md.
+    With its accompanying files, see docs/how-to-scenes.md.
 
     path:             a run folder, a folder above a single run, or a tar archive of either
     n_infrastructure: number of static agents to use, the first ones; None: all

@@ -404,7 +404,7 @@ def read_truth(
         if any(cooperative.tracks) or link_m is None:
             raise SceneError(
                 f"{places[cooperative.tracks.index('')]}: track_id is missing, expected one in every label. For "
-                "DAIR-V2X-C, which has none, link_radius_m makes ids by distance, see docs/scenes_dair.md"
+                "DAIR-V2X-C, which has none, link_radius_m makes ids by distance, see docs/how-to-data-sets.md"
             )
         ids = linked(boxes.frame, boxes.position, boxes.class_id.astype(np.int64), times_ns, link_m)
         boxes = replace(boxes, id=ids)
@@ -489,8 +489,9 @@ class DAIRScene(DataSetScene):
                            distance of where it leads; None: refuse labels without track ids
 
     The truth are the cooperative labels. Frames are those of the car; the pole measures at the times of its own clock,
-    and its poses and visibility come from the frame that is paired with the car's, see docs/scenes_dair.md. An agent's
-    frame is that of its lidar: x forward, y left, z up; positions are middles of boxes, and rotations are active.
+    and its poses and visibility come from the frame that is paired with the car's, see
+    docs/how-to-data-sets.md#v2x-seq-spd-dair-v2x-c-rcooper. An agent's frame is that of its lidar: x forward, y left, z
+    up; positions are middles of boxes, and rotations are active.
     """
 
     short_name = "dair"

@@ -332,7 +332,7 @@ class ScenarioFolder(DataSetScene):
 
 
 class OPV2VScene(ScenarioFolder):
-    """A scenario of OPV2V or V2XSet, simulated in CARLA. See docs/scenes_opv2v.md.
+    """A scenario of OPV2V or V2XSet, simulated in CARLA. See docs/how-to-data-sets.md.
 
     path: the folder of a scenario, or a folder with a single one
 
@@ -375,7 +375,7 @@ class OPV2VScene(ScenarioFolder):
 
 @dataclass(kw_only=True, eq=False)
 class V2XRealScene(OPV2VScene):
-    """A scenario of V2X-Real, recorded by real cars and poles. See docs/scenes_opv2v.md.
+    """A scenario of V2X-Real, recorded by real cars and poles. See docs/how-to-data-sets.md.
 
     left_handed: whether y is to the right in the files. That is not stated for this data set. If it is wrong, the scene
                  is mirrored, and all results are the same.
@@ -396,7 +396,7 @@ class V2XRealScene(OPV2VScene):
 
 
 class V2V4RealScene(OPV2VScene):
-    """A sequence of V2V4Real, recorded by two real cars. See docs/scenes_opv2v.md.
+    """A sequence of V2V4Real, recorded by two real cars. See docs/how-to-data-sets.md.
 
     The parameters are those of `OPV2VScene`. Places of objects are in the frame of the lidar of the agent that lists
     them. Objects of the two agents are the same if their `ass_id` is. An agent is where its lidar is.
@@ -409,7 +409,7 @@ class V2V4RealScene(OPV2VScene):
 
 
 class MultiV2XScene(ScenarioFolder):
-    """A town of Multi-V2X, simulated in CARLA and SUMO. See docs/scenes_opv2v.md.
+    """A town of Multi-V2X, simulated in CARLA and SUMO. See docs/how-to-data-sets.md.
 
     path:             the folder of a town, with cav_<number>, rsu_<number> and map, or a folder with a single one
     n_infrastructure: poles to use, the ones nearest to the ego in the first frame; None: all

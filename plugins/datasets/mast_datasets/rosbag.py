@@ -277,7 +277,7 @@ SUFFIXES = (".db3", ".mcap")
 
 @dataclass(kw_only=True, eq=False)
 class RosBag(DataSetScene):
-    """A ROS 2 bag, in the storage SQLite3 or MCAP, with a map of its topics; see docs/scenes_rosbag.md.
+    """A ROS 2 bag, in the storage SQLite3 or MCAP, with a map of its topics; see docs/how-to-data-sets.md#ros-2-bags.
 
     path:             a folder with metadata.yaml, a file, or a map that names its bag
     topics:           the map, or the TOML file that holds it; None: topics.toml in the folder, or the TOML file beside
@@ -325,7 +325,7 @@ class RosBag(DataSetScene):
             if file is None and not isinstance(self.topics, Mapping):
                 raise ConfigurationError(
                     f"{self.path}: found no map of its topics, expected {self._usual_map}, or `topics` "
-                    f"(docs/scenes_rosbag.md); the bag has {bag.listed_topics()}"
+                    f"(docs/how-to-data-sets.md#ros-2-bags); the bag has {bag.listed_topics()}"
                 )
             bag_map = parse_map(self.topics, place) if isinstance(self.topics, Mapping) else read_map(place)
             readers = rosbag_reading.read_topics(bag, bag_map, place)

@@ -336,7 +336,7 @@ SUFFIXES = (".sumocfg", ".sumo.cfg")
 
 @dataclass(kw_only=True, eq=False)
 class SumoTraffic(DataSetScene):
-    """Traffic that SUMO simulates, step by step, so that cars of it can be driven. See docs/scenes_sumo.md.
+    """Traffic that SUMO simulates, step by step, so that cars of it can be driven. See docs/how-to-scenes.md#sumo.
 
     path:              of SUMO's configuration (.sumocfg), or of a folder with a single one
     start_s:           time of the first frame, of SUMO's clock; None: 200 s after the configuration's beginning

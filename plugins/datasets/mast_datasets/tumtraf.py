@@ -219,7 +219,7 @@ class TUMTrafV2X(DataSetScene):
 
     The world is the root of the coordinate systems, shifted so that its origin is on the ground below the ego's first
     position. All agents see by ray casting against the other boxes: the labels do not tell who saw an object, and the
-    data has no buildings. See docs/scenes_tumtraf.md.
+    data has no buildings. See docs/how-to-data-sets.md#tumtraf-v2x.
     """
 
     short_name = "tumtraf"

@@ -227,7 +227,7 @@ class UrbanIngV2X(DataSetScene):
 
     The ego is the first vehicle; each lidar on a pole is an agent. The world is the crossing's global frame, shifted
     so that its origin is on the ground below the ego's first position. All agents see by ray casting against the other
-    boxes: the labels do not tell who saw an object, and buildings are not read. See docs/scenes_urbaning.md.
+    boxes: the labels do not tell who saw an object, and buildings are not read. See docs/how-to-data-sets.md.
     """
 
     short_name = "urbaning"

@@ -1,4 +1,4 @@
-"""An adversary on a wire that is a node of ROS 2; see docs/ros2_nodes.md.
+"""An adversary on a wire that is a node of ROS 2; see docs/how-to-ros2.md#nodes-of-ros-2-in-a-run.
 
 It sends what it intercepts, and forwards what comes back with the frame's stamp, under the original header: keys,
 numbers and untouched rows stay as they are. In lock-step the message waits for that, up to a limit; in real time until

@@ -1,4 +1,4 @@
-"""An agent whose perception is a node of ROS 2, or whose pose comes from there; see docs/ros2_nodes.md.
+"""An agent whose perception is a node of ROS 2, or whose pose comes from there; see docs/how-to-ros2.md.
 
 In each frame it sends the scene's clock, its pose and its detections to ROS 2. What comes back with the frame's stamp
 are its tracks, or detections that its own pipeline tracks. In lock-step the frame waits for that, up to a limit.

@@ -1,4 +1,4 @@
-"""A command centre whose fusion, or whose defence, is a node of ROS 2; see docs/ros2_nodes.md.
+"""A command centre whose fusion, or whose defence, is a node of ROS 2; see docs/how-to-ros2.md#nodes-of-ros-2-in-a-run.
 
 In each frame it sends the tracks that each agent reported, and publishes what comes back with the frame's stamp as the
 picture. In lock-step the frame waits for that, up to a limit. The picture of a frame without an answer is the last one,
