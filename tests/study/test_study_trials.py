@@ -187,7 +187,7 @@ def test_failed_trial_is_reported_with_its_command_and_others_are_kept(small, mo
     assert failed.command in str(caught.value)
     assert "--seed 1" in failed.command
     added = StudySeries("", "picture", "fp_iob")
-    estimates = {row.configuration: (row[added].seeds, row[added].left_out) for row in outcome.rows}
+    estimates = {row.configuration: (row.get(added).seeds, row.get(added).left_out) for row in outcome.rows}
     assert estimates == {"baseline": (0, 0), "attacked-1-5.0": (1, 1), "attacked-1-20.0": (2, 0)}
     for page in ((outcome.out / "table.md").read_text(), outcome.report.read_text()):
         results = page.index('">What the attack adds</h2>' if page.startswith("<!DOCTYPE") else "What the attack adds")
