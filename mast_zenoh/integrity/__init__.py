@@ -14,7 +14,6 @@ relative_faults  how the tracks of each pair of agents differ, and which agents 
 voting       which objects exist; the stages KOfN and FreeSpace
 agreement    matched boxes of two sets, and their Jaccard index
 consensus    groups of agents, counted checks of them, and what the admission of agents means for their objects
-occupancy    areas that views show free or occupied
 
 The other stages have a file each: Plausibility, RobustFusion, Mate, SequentialConsistency, TruthDiscovery, FaultOrLie,
 Hearsay, and those after the field's published defences, Robosac, Pasac, Made, Prbi, PoseGuard, Cad.
