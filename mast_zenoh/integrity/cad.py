@@ -16,7 +16,6 @@ import numpy as np
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.matching import connected_groups, pairs_near
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.integrity.agreement import select
 from mast_zenoh.integrity.base import AgentTrust, Assessment, Batch, ClusterBoxes, Integrity, ObjectTrust
 from mast_zenoh.integrity.consensus import CheckCount
 from mast_zenoh.integrity.memory import BetaReputation
@@ -289,5 +288,5 @@ def uncovered_m2(area: OccupiedArea, boxes: ClusterBoxes) -> float:
     points = 0.5 * (low + high) + 0.5 * (high - low) * cell_centres()
     points = points[inside_hull(points, area.corners)]
     reach = 0.5 * np.hypot(*(high - low)) + 0.5 * np.hypot(boxes.size[:, 0], boxes.size[:, 1])
-    near = select(boxes, np.hypot(*(boxes.position[:, :2] - 0.5 * (low + high)).T) <= reach * (1.0 + 1e-9))
+    near = boxes.select(np.hypot(*(boxes.position[:, :2] - 0.5 * (low + high)).T) <= reach * (1.0 + 1e-9))
     return area.area_m2 * float((~near.cover(points).any(axis=1)).mean()) if len(points) else 0.0
