@@ -38,7 +38,12 @@ def load(name: str) -> type[Engine]:
         return _of_file(Path(match[1]), match[2])
     if name in _BUILT_IN:
         module, kind = _BUILT_IN[name]
-        engine: type[Engine] = getattr(import_module(f"mast_zenoh.deploy.{module}"), kind)
+        try:
+            engine: type[Engine] = getattr(import_module(f"mast_zenoh.deploy.{module}"), kind)
+        except ModuleNotFoundError as error:
+            if error.name != "asyncssh":
+                raise
+            raise EngineError("asyncssh is not installed: pip install 'mast-zenoh[deploy]'") from None
         return engine
     if name in _GONE:
         raise EngineError(f"engine {name} is gone: {_GONE[name]}")

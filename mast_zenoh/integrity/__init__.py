@@ -12,9 +12,8 @@ alarms       cumulative sums of evidence, and when they are alarms
 calibration  the seeds and junctions on which thresholds were chosen
 relative_faults  how the tracks of each pair of agents differ, and which agents are faulty
 voting       which objects exist; the stages KOfN and FreeSpace
-agreement    matched boxes of two sets, and their Jaccard index
-consensus    groups of agents, counted checks of them, and what the admission of agents means for their objects
-occupancy    areas that views show free or occupied
+consensus    groups of agents, counted checks of them, and what the admission of agents means for their objects;
+             matched boxes of two sets, and their Jaccard index
 
 The other stages have a file each: Plausibility, RobustFusion, Mate, SequentialConsistency, TruthDiscovery, FaultOrLie,
 Hearsay, and those after the field's published defences, Robosac, Pasac, Made, Prbi, PoseGuard, Cad.

@@ -291,6 +291,14 @@ class ClusterBoxes:
             present = np.asarray(np.where(used.any(axis=1, keepdims=True), used, present), np.bool_)
         return cls(*median_boxes(states.position, states.velocity, states.size, states.yaw, batch.member, present))
 
+    def select(self, rows: Bools | Ints) -> ClusterBoxes:
+        """The boxes of a mask (c,) or of rows (k,)."""
+        return ClusterBoxes(self.position[rows], self.velocity[rows], self.size[rows], self.yaw[rows])
+
+    def moved(self, elapsed_s: float) -> ClusterBoxes:
+        """The boxes where their velocities take them in `elapsed_s` s."""
+        return ClusterBoxes(self.position + self.velocity * elapsed_s, self.velocity, self.size, self.yaw)
+
     def cover(self, points: Floats) -> Bools:
         """(n, c) which points (n, 2) m are on which boxes, seen from above."""
         dx, dy = (points[:, None] - self.position[:, :2]).transpose(2, 0, 1)

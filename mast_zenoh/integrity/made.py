@@ -12,7 +12,6 @@ import numpy as np
 from mast_zenoh.arrays.boxes import corners, intersection_area
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.integrity.agreement import select
 from mast_zenoh.integrity.alarms import discoveries
 from mast_zenoh.integrity.base import Assessment, Batch, ClusterBoxes, Integrity
 from mast_zenoh.integrity.calibration import MATCH_LOSSES
@@ -120,7 +119,7 @@ def match_losses(batch: Batch, ego: int, area_m: float) -> Floats:
         wanted = expected[:, agent]
         if agent != ego and wanted.any():
             others = _best_rows(batch, agent, view, area_m)
-            losses[agent] = match_loss(_boxes(batch, others), score[others], select(own, wanted), score[rows[wanted]])
+            losses[agent] = match_loss(_boxes(batch, others), score[others], own.select(wanted), score[rows[wanted]])
     return losses
 
 
@@ -157,7 +156,7 @@ def match_loss(boxes: ClusterBoxes, score: Floats, target: ClusterBoxes, target_
     cost[m:, :n] = 1.0 + target_score
     i, j = (rows.ravel() for rows in np.indices((m, n)))
     lacking = np.maximum(target_score[j] - score[i], 0.0)
-    cost[:m, :n] = (lacking + giou_loss(select(boxes, i), select(target, j))).reshape(m, n)
+    cost[:m, :n] = (lacking + giou_loss(boxes.select(i), target.select(j))).reshape(m, n)
     return float(cost[linear_sum_assignment(cost)].sum() / n)
 
 

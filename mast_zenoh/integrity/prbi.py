@@ -12,9 +12,8 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.integrity.agreement import jaccard, matched_boxes, moved
 from mast_zenoh.integrity.base import Assessment, Batch, ClusterBoxes, Integrity
-from mast_zenoh.integrity.consensus import CheckCount, admission, members_of, perception
+from mast_zenoh.integrity.consensus import CheckCount, admission, jaccard, matched_boxes, members_of, perception
 from mast_zenoh.integrity.memory import AgentMemory
 from mast_zenoh.integrity.visibility import sightings
 from mast_zenoh.streams import stream
@@ -121,7 +120,7 @@ class Prbi(Integrity):
             self._count.without_reference += 1
             self._believed = perception(batch, members_of(batch, candidates.tolist()))
         else:
-            reference = PastReference(batch, moved(self._believed, elapsed_s), self.match_iou)
+            reference = PastReference(batch, self._believed.moved(elapsed_s), self.match_iou)
             self._judge(batch, rows, candidates, reference)
         honest = np.where(self._agents.of.excluded[rows], 0.0, self._agents.of.honest[rows])
         return admission(batch, honest > 0.0, honest, "no group with it fits the last believed picture")

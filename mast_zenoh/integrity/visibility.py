@@ -14,7 +14,6 @@ import numpy as np
 
 from mast_zenoh.arrays.matching import neighbours
 from mast_zenoh.arrays.states import Bools, Floats, Ints
-from mast_zenoh.integrity.agreement import select
 from mast_zenoh.integrity.base import Batch, ClusterBoxes
 from mast_zenoh.integrity.views import SweptView
 from mast_zenoh.kernels import kernel
@@ -359,7 +358,7 @@ def passed_nearby(batch: Batch, boxes: ClusterBoxes, seen: Sightings, voter: Boo
     beside = (half[:, None] < seen.distance) & (seen.distance <= NEARBY_M)
     near, agent = np.nonzero(beside & ~batch.reported & voter)
     if len(near):
-        result[near, agent] = _clear_in_view(select(boxes, near), batch.views, agent)
+        result[near, agent] = _clear_in_view(boxes.select(near), batch.views, agent)
     return result
 
 

@@ -12,10 +12,9 @@ Messages:
 Sending:
 
     generation   when a station sends which objects: base class GenerationRules; EveryFrame, CpmGeneration; what a
-                 station remembers of each object
+                 station remembers of each object; what a Vehicle knows of itself, and when it says so: CamGeneration
     redundancy   objects that others have reported: base class RedundancyRule; FrequencyRedundancy, DynamicsRedundancy,
                  DistanceRedundancy, SelfAnnouncementRedundancy
-    awareness    what a Vehicle knows of itself, and when it says so: CamGeneration
     congestion   how often stations may send: base class CongestionControl; NoCongestionControl, ReactiveDcc,
                  AdaptiveDcc
     channel      airtime, busy ratio of the channel, and which transmissions arrive; stations that load the channel
@@ -25,15 +24,17 @@ Sending:
 Arrays in, arrays out: no class here knows of nodes. Times are int64 ns, as in clocks.
 """
 
-from mast_zenoh.v2x.awareness import CamDecision, CamGeneration, Vehicle
 from mast_zenoh.v2x.channel import BackgroundStations, OfdmTiming, RadioChannel, Transmissions, arrivals
 from mast_zenoh.v2x.congestion import AdaptiveDcc, CongestionControl, NoCongestionControl, ReactiveDcc
 from mast_zenoh.v2x.generation import (
+    CamDecision,
+    CamGeneration,
     CpmGeneration,
     EveryFrame,
     Generation,
     GenerationRules,
     Perception,
+    Vehicle,
 )
 from mast_zenoh.v2x.perceived_objects import quality_of_score
 from mast_zenoh.v2x.redundancy import (

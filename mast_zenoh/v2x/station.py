@@ -7,9 +7,8 @@ from collections import deque
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, ObjectStates
-from mast_zenoh.v2x.awareness import CamGeneration
 from mast_zenoh.v2x.congestion import CongestionControl, NoCongestionControl
-from mast_zenoh.v2x.generation import EveryFrame, Generation, GenerationRules, Perception
+from mast_zenoh.v2x.generation import CamGeneration, EveryFrame, Generation, GenerationRules, Perception
 from mast_zenoh.v2x.redundancy import HeardObjects
 
 #: Reports of others are kept for this long, ns: the window of the redundancy rules.

@@ -23,6 +23,14 @@ def up(out: Path, *words: str) -> commands_in_process.Ended:
     return commands_in_process.command("deploy", "up", "baseline", "--frames", "2", "--out", str(out), *words)
 
 
+def test_an_engine_whose_dependency_is_missing_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "asyncssh", None)
+    for module in ("engine", "connection"):
+        monkeypatch.delitem(sys.modules, f"mast_zenoh.deploy.ssh.{module}", raising=False)
+    with pytest.raises(EngineError, match=r"asyncssh .*mast-zenoh\[deploy\]"):
+        engines.load("ssh")
+
+
 def test_a_missing_or_unreachable_engine_is_reported_before_anything_is_written(tmp_path: Path, monkeypatch) -> None:
     docker = tmp_path / "bin" / "docker"
     docker.parent.mkdir()

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mast_zenoh.integrity.agreement import agreement, moved, outline_iou
+from mast_zenoh.integrity.consensus import agreement, outline_iou
 
 CAR: plain.Box = (0.0, 0.0, 0.75, 4.0, 2.0, 1.5, 0.0)
 
@@ -35,4 +35,4 @@ def test_the_index_is_that_of_the_best_of_all_matchings(one, other, least_iou):
 def test_boxes_move_with_their_velocities() -> None:
     cars = plain.boxes_of([at(0.0, 0.0)])
     cars.velocity[:] = (10.0, -5.0, 0.0)
-    assert moved(cars, 0.2).position == pytest.approx(np.array([[2.0, -1.0, 0.75]]))
+    assert cars.moved(0.2).position == pytest.approx(np.array([[2.0, -1.0, 0.75]]))

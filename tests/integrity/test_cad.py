@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 from integrity_batches import Track, batch, view
 from scipy.spatial import ConvexHull
 
-from mast_zenoh.integrity import Batch, Cad, SweptView, occupancy
+from mast_zenoh.integrity import Batch, Cad, SweptView, cad
 from mast_zenoh.integrity.base import ClusterBoxes
-from mast_zenoh.integrity.cad import areas_of, free_m2
-from mast_zenoh.integrity.occupancy import (
+from mast_zenoh.integrity.cad import (
     MAX_RETURNS,
     SAMPLES,
-    AreaLimits,
     OccupiedArea,
+    areas_of,
     diameter,
+    free_m2,
     hull,
     occupied_areas,
     polygon_area,
@@ -123,7 +123,7 @@ def test_occupied_areas_are_the_hulls_of_linked_returns_within_the_limits(places
         assume(min(abs(size - 0.5), abs(size - 20.0)) > 1e-9)  # on a limit, rounding decides
         if across <= 8.0 and 0.5 <= size <= 20.0:
             expected.append((size, sorted({int(agent[row]) for row in rows})))
-    found = [(a.area_m2, a.agents.tolist()) for a in occupied_areas(places, agent, link_m, AreaLimits())]
+    found = [(a.area_m2, a.agents.tolist()) for a in occupied_areas(places, agent, link_m)]
     assert sorted(found) == [(pytest.approx(size), agents) for size, agents in sorted(expected)]
 
 
@@ -131,9 +131,9 @@ def test_occupied_areas_are_the_hulls_of_linked_returns_within_the_limits(places
 def test_only_areas_of_the_size_of_vehicles_count(side_m: float, vehicles: int) -> None:
     steps = np.linspace(0.0, side_m, 8)
     square = np.array([(x, y) for x in steps for y in steps])
-    assert len(occupied_areas(square, np.zeros(64, np.int64), 1.1, AreaLimits())) == vehicles
+    assert len(occupied_areas(square, np.zeros(64, np.int64), 1.1)) == vehicles
     line = np.column_stack([steps, np.zeros(8)])
-    assert occupied_areas(line, np.zeros(8, np.int64), 1.1, AreaLimits()) == []
+    assert occupied_areas(line, np.zeros(8, np.int64), 1.1) == []
 
 
 @given(boxes=st.lists(plain.boxes, max_size=4), seed=st.integers(0, 9999))
@@ -197,7 +197,7 @@ def test_a_flood_of_returns_costs_little_memory() -> None:
     points = np.concatenate([returns(view, -0.5, 3.0, 50.0) for view in views])
     agent = np.repeat(np.arange(len(views)), MAX_RETURNS)
     tracemalloc.start()
-    areas = occupied_areas(points, agent, 1.0, AreaLimits())
+    areas = occupied_areas(points, agent, 1.0)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 150e6
@@ -210,7 +210,7 @@ def test_the_diameter_is_the_greatest_distance_of_two_corners(places: list[tuple
     expected = max(hypot(x - u, y - v) for x, y in places for u, v in places)
     for block in (1, 7, 250_000):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(occupancy, "_BLOCK", block)
+            patch.setattr(cad, "_BLOCK", block)
             assert diameter(np.array(places)) == pytest.approx(expected)
 
 

@@ -26,7 +26,9 @@ import threading
 from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
+
+import asyncssh
 
 from mast_zenoh import version as release
 from mast_zenoh.deploy import wheel
@@ -34,10 +36,6 @@ from mast_zenoh.deploy.ssh import onhost
 from mast_zenoh.deploy.ssh.hostsfile import SshHost
 from mast_zenoh.deploy.ssh.warden import NOT_THERE
 from mast_zenoh.errors import DiskFull, EngineError, Interrupted, VersionMismatch
-
-if TYPE_CHECKING:
-    import asyncssh
-
 
 T = TypeVar("T")
 
@@ -114,10 +112,6 @@ async def together(*coroutines: Coroutine[Any, Any, T]) -> list[T]:
 @contextlib.asynccontextmanager
 async def connected(host: SshHost) -> AsyncIterator[asyncssh.SSHClientConnection]:
     """Open a connection to a host with a known key; raises EngineError on failure."""
-    try:
-        import asyncssh
-    except ImportError:
-        raise EngineError("asyncssh is not installed: pip install 'mast-zenoh[deploy]'") from None
     known_hosts = Path(host.known_hosts).expanduser()
     key = Path(host.key).expanduser() if host.key else None
     for what, file in (("known_hosts", known_hosts), ("key", key)):
@@ -147,8 +141,6 @@ async def connected(host: SshHost) -> AsyncIterator[asyncssh.SSHClientConnection
 
 
 def _why(error: BaseException, known_hosts: Path, key: Path | None) -> str:
-    import asyncssh
-
     if isinstance(error, asyncssh.HostKeyNotVerifiable):
         return (
             f"its host key is not the one in {known_hosts} ({error.reason}): the host is new, or another one answers; "
@@ -171,8 +163,6 @@ async def run(
     seconds: float = _PROGRAM_S,
 ) -> str:
     """Run a program on the host; returns its output, raises EngineError if it fails."""
-    import asyncssh
-
     try:
         done = await ssh.run(shlex.join(words), input=input_, timeout=seconds, errors="replace")
     except (asyncssh.Error, OSError) as error:
@@ -204,15 +194,11 @@ async def ask(ssh: asyncssh.SSHClientConnection, host: SshHost, *words: str) -> 
 
 async def make_folder(sftp: asyncssh.SFTPClient, path: str) -> None:
     """Make a folder that only its owner may enter."""
-    import asyncssh
-
     await sftp.mkdir(path, asyncssh.SFTPAttrs(permissions=0o700))
 
 
 async def write_file(sftp: asyncssh.SFTPClient, path: str, content: bytes) -> None:
     """Write a new file that only its owner can ever read."""
-    import asyncssh
-
     async with sftp.open(path, "xb", asyncssh.SFTPAttrs(permissions=0o600)) as file:
         await file.write(content)
 
@@ -291,8 +277,6 @@ async def install(ssh: asyncssh.SSHClientConnection, host: SshHost, packages: Pa
 async def _copy_and_unpack(
     ssh: asyncssh.SSHClientConnection, host: SshHost, wheels: list[Path], target: str, *, venv: bool
 ) -> None:
-    import asyncssh
-
     new = f"{target}.{secrets.token_hex(4)}"
     try:
         async with ssh.start_sftp_client() as sftp:
@@ -333,8 +317,6 @@ def attaching(place: Mapping[str, Any]) -> str:
 
 async def ask_warden(host: SshHost, place: Mapping[str, Any], do: str, **more: Any) -> dict[str, Any] | None:
     """The warden's answer; None without a warden or installation. Raises EngineError."""
-    import asyncssh
-
     answer: dict[str, Any] | None = None
     try:
         async with connected(host) as ssh, ssh.create_process(attaching(place)) as process:
@@ -430,8 +412,6 @@ class WardenAttachment:
 
     async def stay(self) -> None:
         """Keep the connection until it is cancelled or the warden is gone."""
-        import asyncssh
-
         self._loop = asyncio.get_running_loop()
         while not self.gone:
             try:
@@ -445,8 +425,6 @@ class WardenAttachment:
             await asyncio.sleep(_AGAIN_S)
 
     async def _attend(self, process: Any) -> None:
-        import asyncssh
-
         def send(*messages: dict[str, Any]) -> None:
             process.stdin.write("".join(json.dumps(message) + "\n" for message in messages))
 

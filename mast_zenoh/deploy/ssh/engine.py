@@ -18,8 +18,9 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import asyncssh
 import zenoh
 
 from mast_zenoh.config.resolved import NodeSpec, Resolved
@@ -43,9 +44,6 @@ from mast_zenoh.mesh.security import levels
 from mast_zenoh.mesh.security.credentials import ROUTER
 from mast_zenoh.mesh.security.deployment import Deployment
 from mast_zenoh.mesh.session import open_router
-
-if TYPE_CHECKING:
-    import asyncssh
 
 _ATTACH_S = 60.0
 _ANSWER_S = 30.0  # from a command to its answer: a lost connection must be restored by then
@@ -333,8 +331,6 @@ class RemoteNodes(DeployedNodes[RemoteNode]):
         self._on_all(self._reach_router)
 
     async def _copy_credentials(self, host: SshHost, ssh: asyncssh.SSHClientConnection, deployment: Deployment) -> None:
-        import asyncssh
-
         target = self._folder(host.name, CREDENTIALS)
         try:
             async with ssh.start_sftp_client() as sftp:

@@ -8,7 +8,7 @@ returns as the lane towards it: no vehicle leaves the scene, so a recording can 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -278,16 +278,12 @@ def plan(arms: tuple[Arm, ...]) -> tuple[JunctionLane, ...]:
             end = arms[b].world(np.array([[arms[b].stop, -arms[b].offset(exit_slot)]]))[0]
             path = SampledCurve.through(bend(start, arms[a].angle + np.pi, end, arms[b].angle))
             lanes.append(JunctionLane(lanes[row].user, path, (approach[b, exit_slot],), a, b, _turn(arms, a, b)))
-            lanes[row] = _with_successor(lanes[row], len(lanes) - 1)
+            lanes[row] = replace(lanes[row], follow=(*lanes[row].follow, len(lanes) - 1))
     for a, arm in enumerate(arms):
         lanes += _crossing(arm, a, len(lanes))
     for a in range(len(arms)):
         lanes.append(JunctionLane(WALKER, SampledCurve.through(_pavement(arms, a)), (len(lanes),), a, -1, 0.0))
     return tuple(lanes)
-
-
-def _with_successor(lane: JunctionLane, row: int) -> JunctionLane:
-    return JunctionLane(lane.user, lane.path, (*lane.follow, row), lane.arm, lane.target, lane.turn)
 
 
 def _turn(arms: tuple[Arm, ...], a: int, b: int) -> float:

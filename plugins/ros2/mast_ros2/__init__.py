@@ -20,9 +20,7 @@ altered_objects   messages of objects some of which an interposer has altered
 Nodes of a run that exchange messages with nodes of ROS 2:
 
 frame_exchange    questions about frames and their answers: stamps, waiting, counts
-agent_exchange    what an agent sends, and its tracks, detections or pose that come back
-center_exchange   what a command centre sends, and the picture that comes back
-adversary_exchange what an adversary sends, and what it forwards instead
+node_exchanges    what agents, command centres and adversaries send, and what comes back
 
 Programs, sessions and files:
 

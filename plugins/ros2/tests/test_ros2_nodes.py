@@ -300,7 +300,7 @@ def test_in_real_time_a_centre_gives_a_frame_up_when_the_next_begins(resolved: R
 
 
 def test_a_centre_refuses_too_many_agents_at_its_start_and_counts_those_that_come_later(resolved, monkeypatch) -> None:
-    exchanges = importlib.import_module("mast_ros2.center_exchange")
+    exchanges = importlib.import_module("mast_ros2.node_exchanges")
     monkeypatch.setattr(exchanges, "MOST_AGENTS", 3)
     center = center_of(resolved, RosLink())
     center.play(0, collated=batch(0, ("ego", 1.0), ("late_1", 2.0), ("late_2", 3.0)))

@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any, Literal
 
-from mast_ros2.adversary_exchange import WIRE_TYPES, AdversaryExchange
 from mast_ros2.frame_exchange import Timing
 from mast_ros2.mesh import Connection
+from mast_ros2.node_exchanges import WIRE_TYPES, AdversaryExchange
 from mast_ros2.participant import joined
 
 from mast_zenoh.mesh.hosting import main

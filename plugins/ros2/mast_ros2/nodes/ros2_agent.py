@@ -15,9 +15,9 @@ from typing import Any, Literal
 
 import numpy as np
 from agent import Agent, Measurement, Perceived, sensor_in_world
-from mast_ros2.agent_exchange import AgentExchange
 from mast_ros2.frame_exchange import Timing
 from mast_ros2.mesh import Connection
+from mast_ros2.node_exchanges import AgentExchange
 from mast_ros2.participant import joined
 
 from mast_zenoh.arrays.geometry import states_to_local

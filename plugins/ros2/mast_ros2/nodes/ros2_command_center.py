@@ -12,9 +12,9 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-from mast_ros2.center_exchange import CenterExchange, supports
 from mast_ros2.frame_exchange import Timing
 from mast_ros2.mesh import Connection
+from mast_ros2.node_exchanges import CenterExchange, supports
 from mast_ros2.participant import joined
 
 from mast_zenoh.arrays.states import ObjectStates
