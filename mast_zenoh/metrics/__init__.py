@@ -46,7 +46,8 @@ from mast_zenoh.metrics.cut_off import CutOff, CutOffObjects, Presence
 from mast_zenoh.metrics.driving import Driving
 from mast_zenoh.metrics.estimates import ESTIMATORS
 from mast_zenoh.metrics.increments import increments
-from mast_zenoh.metrics.measures import ErrorsNearby, FrameMetric, LongestMiss, MessageMetric, Metric, RunMetric
+from mast_zenoh.metrics.measures import FrameMetric, MessageMetric, Metric, RunMetric
+from mast_zenoh.metrics.named_metrics import ErrorsNearby, LongestMiss
 from mast_zenoh.metrics.record import Record, Series
 from mast_zenoh.metrics.scores import OUTCOMES, Scores, Table
 from mast_zenoh.metrics.scoring import Estimate, Scorer

@@ -12,7 +12,8 @@ from metric_worlds import LOCAL, cars, recorded
 from mast_zenoh.mesh.control.failures import location
 from mast_zenoh.metrics import AttributionLimits, Attributor, Estimate, FrameMetric, RunMetric, Scorer
 from mast_zenoh.metrics.causes import Manipulations
-from mast_zenoh.metrics.measures import ErrorsNearby, LongestMiss, ScoredRun, check, measured
+from mast_zenoh.metrics.measures import ScoredRun, check, measured
+from mast_zenoh.metrics.named_metrics import ErrorsNearby, LongestMiss
 from mast_zenoh.metrics.scoring import estimates_of
 
 
