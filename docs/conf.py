@@ -42,6 +42,7 @@ KINDS = {
         "architecture protocol determinism simulation tracking fusion attacks defences defence_studies scoreboard "
         "security driving v2x performance known_limits roadmap",
     ),
+    "Results": ("results/", ""),  # those of the folder
     "Reference": (
         "ref-",
         "glossary scenarios messages links faults metrics effects report recording endings exit_codes api stability "
@@ -60,6 +61,8 @@ def add_navigation(_: Sphinx, page: str, source: list[str]) -> None:
         entries = [*named, *(name for name in listed.split() if name in pages)]
         if kind == "Reference":
             entries.append("modules/index")
+        if kind == "Results":
+            entries = sorted(f"results/{path.stem}" for path in DOCS.glob("results/*.md"))
         source[0] += "\n".join(["", "```{toctree}", ":hidden:", f":caption: {kind}", "", *entries, "```", ""])
 
 

@@ -1,0 +1,87 @@
+"""Errors, consistency and processor time of mast's, filterpy's and Stone Soup's trackers on the same scenes."""
+
+from math import inf
+
+from mast_zenoh.metrics.study_results import NAN, Row
+from mast_zenoh.show.tables.text_table import ResultTables, numbers_of_rows, shown, table_of_rows
+from mast_zenoh.study.choices import words
+from mast_zenoh.study.defences.kinds import Kind
+
+_AGENTS, _CENTRE = "agents.*.pipeline.tracker", "command_center.pipeline.group_tracking.tracker"
+#: By name, where a tracker is in place of mast's own, and its class.
+TRACKERS = {
+    "mast": ((), ""),
+    "interacting models": ((_AGENTS,), "InteractingModelsTracker3D"),
+    "filterpy": ((_AGENTS,), "FilterpyBoxTracker3D"),
+    "Stone Soup in agents": ((_AGENTS,), "StoneSoupTracker"),
+    "Stone Soup everywhere": ((_AGENTS, _CENTRE), "StoneSoupTracker"),
+}
+#: Measures of the ego's own tracks and of its picture, by heading.
+MEASURES = {
+    "missed": "fn",
+    "false": "fp",
+    "RMSE (m)": "rmse_m",
+    "ID switches": "id_switches",
+    "NEES of positions (2 expected)": "nees",
+}
+TIME, ESTIMATES = "ms per frame", {"local": "own tracks", "picture": "picture"}
+
+
+class Trackers(Kind):
+    """Trackers side by side. Its factor: tracker."""
+
+    name, drawn = "trackers", ("trackers",)
+
+    def measures(self, factors, outcome):
+        """The measures of both estimates of the ego, and ms of processor time per frame of all nodes together."""
+        found = {TIME: 1e3 * outcome.cpu_s / outcome.trial.frames}
+        for estimate in ESTIMATES:
+            scores = outcome.metrics["agents"]["ego"][estimate]
+            consistency = outcome.metrics["consistency"]["ego"][estimate]["position"]
+            for name in MEASURES.values():
+                score = consistency[name] if name == "nees" else scores[name]
+                found[f"{estimate} {name}"] = score["mean"] if isinstance(score, dict) else score
+        return {name: NAN if value is None else value for name, value in found.items()}
+
+    def table(self):
+        """A row for each tracker, with the mean of each measure."""
+        names = [TIME, *(f"{estimate} {name}" for estimate in ESTIMATES for name in MEASURES.values())]
+        return [
+            Row(dict(each), len(done), {name: self.mean(self.values(each, name), (0.0, inf)) for name in names})
+            for each, done in self.trials.items()
+        ]
+
+    def tables(self, table):
+        columns = {
+            f"{title}: {heading}": shown(f"{estimate} {name}")
+            for estimate, title in ESTIMATES.items()
+            for heading, name in MEASURES.items()
+        }
+        page = table_of_rows("Trackers", "", table, columns | {TIME: shown(TIME)})
+        return ResultTables("Trackers", "", self.size, [page], numbers_of_rows(table), [page])
+
+    def figures(self, table):
+        from mast_zenoh.show.figures.drawing import render  # drawing libraries are slow to load
+        from mast_zenoh.show.figures.facets import Axis, facet
+
+        axes = [Axis(f"{estimate} rmse_m", f"RMSE (m): {title}") for estimate, title in ESTIMATES.items()]
+        axes += [Axis(f"{estimate} nees", f"NEES: {title}") for estimate, title in ESTIMATES.items()]
+        rows = [Row(row.of | {"hue": ""}, row.trials, row.numbers) for row in table]
+        figure = facet(rows, "tracker", [*axes, Axis(TIME, TIME)], "hue", size=(2.6, 2.4))
+        return {self.name: render(self.name, figure, "Trackers side by side.", f"95 % intervals, {self.size}.")}
+
+
+def study(trackers=None, scenario="baseline", scenes="intersection:8,intersection:9", trials=10, frames=100, seed=1000):
+    """Every tracker in the same runs, each trial at a junction of its own.
+
+    trackers: names in this file, separated by commas; None: all; scenario: of the runs, such as coordinated;
+    trials: junctions, each with a seed of its own, from `seed` on; frames: of each run
+    """
+    runs = {}
+    for name in TRACKERS if trackers is None else words(trackers):
+        paths, tracker = TRACKERS[name]
+        parameters = {path: dict(type=tracker) for path in paths}
+        runs[name] = dict(scenario=scenario, parameters=parameters, factors=dict(tracker=name))
+    return dict(
+        name="trackers", kind=Trackers, runs=runs, scenes=words(scenes), trials=trials, frames=frames, seed=seed
+    )
