@@ -42,7 +42,7 @@ KINDS = {
         "architecture protocol determinism simulation tracking fusion attacks defences defence_studies scoreboard "
         "security driving v2x performance known_limits roadmap",
     ),
-    "Results": ("results/", ""),  # those of the folder
+    "Results": ("results/", ""),
     "Reference": (
         "ref-",
         "glossary scenarios messages links faults metrics effects report recording endings exit_codes api stability "
@@ -55,14 +55,13 @@ def add_navigation(_: Sphinx, page: str, source: list[str]) -> None:
     """Append the tables of contents to the start page: they are not for its readers elsewhere."""
     if page != "index":
         return
-    pages = {path.stem for path in DOCS.glob("*.md")} - {"index"}
+    files = [*DOCS.glob("*.md"), *DOCS.glob("results/*.md")]
+    pages = {path.relative_to(DOCS).with_suffix("").as_posix() for path in files} - {"index"}
     for kind, (beginning, listed) in KINDS.items():
         named = sorted(name for name in pages if name.startswith(beginning) and name not in listed.split())
         entries = [*named, *(name for name in listed.split() if name in pages)]
         if kind == "Reference":
             entries.append("modules/index")
-        if kind == "Results":
-            entries = sorted(f"results/{path.stem}" for path in DOCS.glob("results/*.md"))
         source[0] += "\n".join(["", "```{toctree}", ":hidden:", f":caption: {kind}", "", *entries, "```", ""])
 
 

@@ -169,6 +169,13 @@ PAGES = (
                 quick=dict(trials=5, scenes=0, frames=100, seed=40),
                 columns=_SCORES,
             ),
+            Part(
+                "Ways to fuse tracks",
+                "fusion",
+                full=dict(trials=20),
+                quick=dict(trials=5, fusions="ci,ici,naive"),
+                columns=_SCORES,
+            ),
         ),
     ),
     Page(
