@@ -9,8 +9,8 @@ from mast_zenoh.study.choices import sensors_of
 from mast_zenoh.study.defences.kinds import Kind
 
 RATE, OBJECTS = "frames/s", "objects"
-#: Scenarios by the name of a run.
-RUNS = {"baseline": "baseline", "attacked": "coordinated"}
+#: By the name of a run, its scenario and parameters.
+RUNS = {"baseline": ("baseline", {}), "attacked": ("coordinated", dict(attack_start_s=1.0))}
 
 
 class Speed(Kind):
@@ -62,9 +62,9 @@ def study(agents=(5, 10, 20, 29), scenes="intersection:8", trials=10, frames=100
         kind=Speed,
         runs={
             f"{name} {count} agents": dict(
-                scenario=scenario, parameters=sensors_of(count), factors=dict(run=name, agents=count)
+                scenario=scenario, parameters=sensors_of(count) | parameters, factors=dict(run=name, agents=count)
             )
-            for name, scenario in RUNS.items()
+            for name, (scenario, parameters) in RUNS.items()
             for count in agents
         },
         scenes=scenes.split(","),

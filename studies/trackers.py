@@ -8,13 +8,19 @@ from mast_zenoh.study.choices import words
 from mast_zenoh.study.defences.kinds import Kind
 
 _AGENTS, _CENTRE = "agents.*.pipeline.tracker", "command_center.pipeline.group_tracking.tracker"
-#: By name, where a tracker is in place of mast's own, and its class.
+_OWN, _STONE_SOUP = "KalmanBoxTracker3D", dict(type="StoneSoupTracker")
+#: By name, where a tracker is in place of mast's own, and which it is; then mast's own without one of its parts.
 TRACKERS = {
-    "mast": ((), ""),
-    "interacting models": ((_AGENTS,), "InteractingModelsTracker3D"),
-    "filterpy": ((_AGENTS,), "FilterpyBoxTracker3D"),
-    "Stone Soup in agents": ((_AGENTS,), "StoneSoupTracker"),
-    "Stone Soup everywhere": ((_AGENTS, _CENTRE), "StoneSoupTracker"),
+    "mast": ((), None),
+    "interacting models": ((_AGENTS,), dict(type="InteractingModelsTracker3D")),
+    "filterpy": ((_AGENTS,), dict(type="FilterpyBoxTracker3D")),
+    "Stone Soup in agents": ((_AGENTS,), _STONE_SOUP),
+    "Stone Soup everywhere": ((_AGENTS, _CENTRE), _STONE_SOUP),
+    "short record of detections": ((_AGENTS,), dict(type=_OWN, memory_s=0.2)),
+    "no lasting errors": ((_AGENTS,), dict(type=_OWN, lasting_share=0.0)),
+    "twice the clutter": ((_AGENTS,), dict(type=_OWN, clutter_per_m2=1e-4)),
+    "half the acceleration": ((_AGENTS,), dict(type=_OWN, acceleration_scale=0.5)),
+    "greedy assignment": ((_AGENTS,), dict(type=_OWN, assignment=dict(type="GreedyAssignment"))),
 }
 #: Measures of the ego's own tracks and of its picture, by heading.
 MEASURES = {
@@ -57,7 +63,8 @@ class Trackers(Kind):
             for estimate, title in ESTIMATES.items()
             for heading, name in MEASURES.items()
         }
-        page = table_of_rows("Trackers", "", table, columns | {TIME: shown(TIME)})
+        groups = ["", *(title for title in ESTIMATES.values() for _ in MEASURES), TIME]
+        page = table_of_rows("Trackers", "", table, columns | {TIME: shown(TIME)})._replace(groups=groups)
         return ResultTables("Trackers", "", self.size, [page], numbers_of_rows(table), [page])
 
     def figures(self, table):
@@ -71,7 +78,7 @@ class Trackers(Kind):
         return {self.name: render(self.name, figure, "Trackers side by side.", f"95 % intervals, {self.size}.")}
 
 
-def study(trackers=None, scenario="baseline", scenes="intersection:8,intersection:9", trials=10, frames=100, seed=1000):
+def study(trackers=None, scenario="baseline", trials=20, frames=100, seed=40):
     """Every tracker in the same runs, each trial at a junction of its own.
 
     trackers: names in this file, separated by commas; None: all; scenario: of the runs, such as coordinated;
@@ -80,8 +87,14 @@ def study(trackers=None, scenario="baseline", scenes="intersection:8,intersectio
     runs = {}
     for name in TRACKERS if trackers is None else words(trackers):
         paths, tracker = TRACKERS[name]
-        parameters = {path: dict(type=tracker) for path in paths}
+        parameters = dict.fromkeys(paths, tracker)
         runs[name] = dict(scenario=scenario, parameters=parameters, factors=dict(tracker=name))
     return dict(
-        name="trackers", kind=Trackers, runs=runs, scenes=words(scenes), trials=trials, frames=frames, seed=seed
+        name="trackers",
+        kind=Trackers,
+        runs=runs,
+        per_trial=dict(seed="scene_index"),
+        trials=trials,
+        frames=frames,
+        seed=seed,
     )

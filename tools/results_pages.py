@@ -245,7 +245,7 @@ PAGES = (
                 "Trackers side by side",
                 "trackers",
                 full=dict(trials=20),
-                quick=dict(trials=5, trackers="mast,filterpy,interacting models,Stone Soup in agents"),
+                quick=dict(trials=5, trackers="mast,filterpy,Stone Soup in agents,short record of detections"),
                 figure="trackers",
                 table="Trackers",
             ),
