@@ -27,15 +27,13 @@ PAPER = dict(region="paper", propagation="StaticPropagation")
 PAPER_OF = dict(uncoordinated=PAPER, coordinated=PAPER | dict(fraction_false_negatives=0.0))
 
 
-def study(
-    attacks=ATTACKS, shapes=None, paper=(1, 2, 3), adversaries=2, trials=30, frames=80, attack_start_s=2.0, seed=40
-):
+def study(attacks=None, shapes=None, paper=(1, 2, 3), adversaries=2, trials=30, frames=80, attack_start_s=2.0, seed=40):
     """Paired runs: the same junctions and seeds for every attack.
 
-    attacks: classes, separated by commas; shapes: of uncoordinated attacks, names in this file; None: all;
+    attacks: classes, separated by commas; shapes: of uncoordinated attacks, names in this file; None: all of them;
     paper: numbers of adversaries of attacks as in the paper; adversaries: the number of all others, of poles first;
-    trials: junctions, each with a seed of its own, from `seed` on; frames: of each run;
-    attack_start_s: when all attacks begin, also those with a start of their own
+    trials: junctions, each with a seed of its own; seed: the first, number of the junction, too;
+    frames: of each run; attack_start_s: when all attacks begin, also those with a start of their own
     """
     common = dict(attack_start_s=attack_start_s)
     both = common | dict(n_adversaries=adversaries)
@@ -49,7 +47,7 @@ def study(
         runs[scenario] = dict(scenario=scenario, parameters=common)
     for name in SHAPES if shapes is None else words(shapes):
         runs[f"uncoordinated {name}"] = dict(scenario="uncoordinated", parameters=both | SHAPES[name])
-    for name in words(attacks):
+    for name in words(ATTACKS if attacks is None else attacks):
         attack = resolve_choice(name, adversary_base(name))
         parameters = both | dict(attack=attack, knowledge="trust")
         runs[short_name(name)] = dict(scenario="defended", parameters=parameters)

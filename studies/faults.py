@@ -7,9 +7,9 @@ def study(faults=None, n_faulty=1, defence="NoIntegrity", trials=30, frames=80, 
     """Paired runs: the same junctions and seeds for every fault.
 
     faults: pose, delay, skew, loss, blind, ghosts, separated by commas; None: all;
-    n_faulty: agents that have it, poles first;
-    defence: an integrity stage; trials: junctions, each with a seed of its own, from `seed` on; frames: of each run;
-    fault_start_s: when the faults begin
+    n_faulty: agents that have it, poles first; defence: an integrity stage;
+    trials: junctions, each with a seed of its own; seed: the first, number of the junction, too;
+    frames: of each run; fault_start_s: when the faults begin
     """
     common = dict(defence=defence, n_adversaries=0, placement="poles", attack_start_s=fault_start_s)
     return dict(

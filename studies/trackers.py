@@ -82,7 +82,7 @@ def study(trackers=None, scenario="baseline", trials=20, frames=100, seed=40):
     """Every tracker in the same runs, each trial at a junction of its own.
 
     trackers: names in this file, separated by commas; None: all; scenario: of the runs, such as coordinated;
-    trials: junctions, each with a seed of its own, from `seed` on; frames: of each run
+    trials: junctions, each with a seed of its own; seed: the first, number of the junction, too; frames: of each run
     """
     runs = {}
     for name in TRACKERS if trackers is None else words(trackers):
