@@ -100,7 +100,7 @@ def play(page: Page, part: Part, *, quick: bool, cluster: str | None) -> Played:
         [{"study": part.study} | line for line in numbers],
         shlex.join(["mast", "study", part.study, *words]),
         f"{question} {facts.size}{apart}, {facts.frames or 'all'} frames each{', in $MAST_DATA' * bool(part.paths)}.",
-        f"{part.study} {facts.seeds[0]} to {facts.seeds[-1]}",
+        f"{part.study} {' to '.join(dict.fromkeys(map(str, (facts.seeds[0], facts.seeds[-1]))))}",
         result.figures[part.figure],
     )
 

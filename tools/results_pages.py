@@ -211,19 +211,13 @@ PAGES = (
                 columns=_SCORES | _ADDED,
                 paths=dict(scenes=f"av2:{_LOG}"),
             ),
-            *(
-                Benchmark(
-                    f"Errors of detections and traffic of junctions, {name}",
-                    "Medians over junctions; in brackets after each name, what real detections and traffic have.",
-                    "tools/realism.py",
-                    ("--scenes", *map(str, range(40, 60)), "--detector", detector),
-                    ("--scenes", *map(str, range(40, 45)), "--detector", detector),
-                    "simulated",
-                )
-                for name, detector in (
-                    ("default errors", "DetectionModel"),
-                    ("lasting errors", "LastingErrors"),
-                )
+            Benchmark(
+                "Detections and traffic of generated junctions",
+                "Medians over junctions; in brackets after each name, what real detections and traffic have.",
+                "tools/realism.py",
+                ("--scenes", *map(str, range(40, 60))),
+                ("--scenes", *map(str, range(40, 45))),
+                "simulated",
             ),
             Benchmark(
                 "A frame of SUMO's traffic with driven cars",
