@@ -3,7 +3,7 @@
 from math import inf
 
 from mast_zenoh.metrics.study_results import NAN, Row
-from mast_zenoh.show.tables.text_table import ResultTables, numbers_of_rows, shown, table_of_rows
+from mast_zenoh.show.tables.text_table import ResultTables, measured, numbers_of_rows, shown, table_of_rows
 from mast_zenoh.study.choices import words
 from mast_zenoh.study.defences.kinds import Kind
 
@@ -75,7 +75,9 @@ class Trackers(Kind):
         axes += [Axis(f"{estimate} nees", f"NEES: {title}") for estimate, title in ESTIMATES.items()]
         rows = [Row(row.of | {"hue": ""}, row.trials, row.numbers) for row in table]
         figure = facet(rows, "tracker", [*axes, Axis(TIME, TIME)], "hue", size=(2.6, 2.4))
-        return {self.name: render(self.name, figure, "Trackers side by side.", f"95 % intervals, {self.size}.")}
+        errors = "; ".join(f"{row.of['tracker']} {measured(row['picture rmse_m'])}" for row in table)
+        alt, caption = f"RMSE of the picture (m): {errors}.", f"Bars: 95 % intervals ({self.size})."
+        return {self.name: render(self.name, figure, alt, caption, printed=True)}
 
 
 def study(trackers=None, scenario="baseline", trials=20, frames=100, seed=40):
@@ -89,12 +91,5 @@ def study(trackers=None, scenario="baseline", trials=20, frames=100, seed=40):
         paths, tracker = TRACKERS[name]
         parameters = dict.fromkeys(paths, tracker)
         runs[name] = dict(scenario=scenario, parameters=parameters, factors=dict(tracker=name))
-    return dict(
-        name="trackers",
-        kind=Trackers,
-        runs=runs,
-        per_trial=dict(seed="scene_index"),
-        trials=trials,
-        frames=frames,
-        seed=seed,
-    )
+    study = dict(name="trackers", kind=Trackers, runs=runs, trials=trials, frames=frames, seed=seed)
+    return study | dict(per_trial=dict(seed="scene_index"))

@@ -186,6 +186,7 @@ def origin(parts: Sequence[Played]) -> dict[str, str]:
         "commit": git("rev-parse", "--short", "HEAD") + ", with changes" * bool(changed),
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
         "processor": f"{(models or [platform.machine()])[0]}, {os.cpu_count()} cores",
+        "load, when the page was written": f"{os.getloadavg()[0]:.1f}",
         "Python": platform.python_version(),
         "seeds": "; ".join(part.seeds for part in parts if part.seeds),
     }
