@@ -139,9 +139,9 @@ def sentences_of(result: StudyResult) -> list[str]:
     rows, facts = of_study.titled(result.rows, result.facts)
     comparisons = of_study.compare(rows, facts.baseline)
     own = result.own.tables if result.own is not None else None
-    errors = [of_study.result(rows, facts, comparisons), *of_study.other_changes(rows, facts, comparisons)]
-    headline = [f"{own.headline}."] if own is not None and own.headline else errors[:1]
-    return [*headline, *(own.reading if own is not None and own.reading else errors[1:])]
+    if own is not None and (own.headline or own.reading):
+        return [*([f"{own.headline}."] if own.headline else []), *own.reading]
+    return [of_study.result(rows, facts, comparisons), *of_study.other_changes(rows, facts, comparisons)]
 
 
 def of_columns(part: Part, result: StudyResult) -> tuple[TextTable, list[dict[str, object]]]:
