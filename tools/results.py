@@ -222,9 +222,9 @@ def write(page: Page, parts: Sequence[Played], out: Path, *, quick: bool) -> Non
 
 
 def smaller(png: bytes) -> bytes:
-    """A PNG of at most 64 colours: figures have few."""
+    """A PNG of at most 256 colours: figures have few."""
     image, file = Image.open(io.BytesIO(png)).convert("RGB"), io.BytesIO()
-    image.quantize(64).save(file, "PNG", optimize=True)
+    image.quantize(256).save(file, "PNG", optimize=True)
     return min(file.getvalue(), png, key=len)
 
 
