@@ -5,7 +5,7 @@ TOOLS := .venv/tools/bin
 SITE := .venv/site
 PIP := pip install --quiet --disable-pip-version-check
 
-.PHONY: run kernels dev test test-all fuzz insiders lint lint-js lint-project bench bench-quick docs site pictures lock dist wheels clean plugin-missing
+.PHONY: run kernels dev test test-all fuzz insiders lint lint-js lint-project bench bench-quick docs site pictures results lock dist wheels clean plugin-missing
 
 # Installs only what running needs; the other targets add the tools for tests and development.
 # `make run ARGS=--record` also writes every message.
@@ -91,6 +91,11 @@ site: .venv/ready .venv/site/ready
 # All pictures of docs/ and README.md, or some: `make pictures PICTURES=interception.gif`.
 pictures: .venv/ready
 	$(BIN)/python tools/pictures.py $(PICTURES)
+
+# The pages of docs/results/ and the figures of them, for hours, on all cores or on a Dask cluster; repeat it to go on after an interruption.
+# With QUICK=1 all of them in ten minutes, into build/results. `make results PAGES=attacks CLUSTER=tcp://HOST:8786`.
+results: .venv/ready
+	$(BIN)/python tools/results.py $(if $(QUICK),--quick) $(if $(CLUSTER),--cluster $(CLUSTER)) $(PAGES)
 
 # Run this after changing dependencies in pyproject.toml. `make lock UPGRADE=--upgrade` updates all packages.
 # The lock file for running is a subset of the one for development, with the same versions and hashes.

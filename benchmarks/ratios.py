@@ -1,6 +1,6 @@
 """Ratios of speed: this version to another one, and to peers, measured in turn until the time is up.
 
-    python benchmarks/ratios.py [--minutes 10] [--against COMMIT] [--frames 100]
+    python benchmarks/ratios.py [--minutes 10] [--against COMMIT] [--frames 100] [--json FILE]
 
     in process    frames of a baseline, an attacked and a defended run in one process, in processor time
     mesh          lock-step frames of the baseline on a mesh, on the wall clock, also of bare messages over the same
@@ -14,19 +14,22 @@ Above 1, this version is faster. Both sides of a ratio are measured one after th
 the median of the ratios is printed, with the least and the greatest: the more they scatter, the busier the machine was.
 
 Without --against, the other version is the last release (tag), or the commit before this one if there is none. It runs
-with the packages that are installed here.
+with the packages that are installed here. `--against peers` has no other version. With --json, all ratios are written.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import statistics
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from itertools import cycle
+from pathlib import Path
 
 import cost
 import link
@@ -45,6 +48,7 @@ from mast_zenoh.tracking import FilterpyBoxTracker3D, KalmanBoxTracker3D, StoneS
 #: Measures the seconds of all sides of a comparison, this version's first.
 Comparison = Callable[[], dict[str, float]]
 MESSAGES = 100  # in a block of messages through a link
+PEERS = "peers"  # instead of the name of a commit
 
 
 def in_turn(**sides: Callable[[], float]) -> Comparison:
@@ -93,9 +97,9 @@ def closed_loop(frames: int) -> dict[str, Callable[[], float]]:
 
 
 def comparisons(
-    this: versions.Version, other: versions.Version, bench: link.Bench, frames: int
+    this: versions.Version, other: versions.Version | None, bench: link.Bench, frames: int
 ) -> dict[str, Comparison]:
-    """Everything that is compared."""
+    """Everything that is compared. other: None: with peers alone"""
     path, loaded = scenario.load("baseline")
     resolved = scenario.resolve(path, loaded, frames=frames)
     sizes = lockstep.payload_sizes(resolved)
@@ -105,16 +109,17 @@ def comparisons(
         p50 = bench.medians(MESSAGES, ("direct", "relay", "link"))
         return {path: (p50[path] - p50["direct"]) * 1e-6 for path in ("link", "relay")}
 
+    of_versions = {"this": this} if other is None else {"this": this, "other": other}
     return {
         **{
             f"in process, {run}": in_turn(
-                this=partial(this.seconds, "inproc", run), other=partial(other.seconds, "inproc", run)
+                **{name: partial(version.seconds, "inproc", run) for name, version in of_versions.items()}
             )
             for run in cost.RUNS
+            if other is not None
         },
         "mesh, baseline": in_turn(
-            this=partial(this.seconds, "mesh", "baseline"),
-            other=partial(other.seconds, "mesh", "baseline"),
+            **{name: partial(version.seconds, "mesh", "baseline") for name, version in of_versions.items()},
             secured=partial(this.seconds, "secured", "baseline"),
             bare_messages=lambda: 1.0 / bare(barrier=True),
             bare_messages_without_barrier=lambda: 1.0 / bare(barrier=False),
@@ -135,16 +140,15 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--against", metavar="COMMIT")
     parser.add_argument("--frames", type=int, default=100, help="of each run")
+    parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    commit = versions.commit_of(arguments.against)
-    package = versions.built(commit)
+    commit = None if arguments.against == PEERS else versions.commit_of(arguments.against)
     end = time.monotonic() + 60.0 * arguments.minutes
     ratios: dict[tuple[str, str], list[float]] = defaultdict(list)
-    with (
-        versions.Version(versions.ROOT, arguments.frames) as this,
-        versions.Version(package, arguments.frames) as other,
-        link.running(link.message(20), ("relay", "link")) as bench,
-    ):
+    with ExitStack() as stack:
+        this = stack.enter_context(versions.Version(versions.ROOT, arguments.frames))
+        other = stack.enter_context(versions.Version(versions.built(commit), arguments.frames)) if commit else None
+        bench = stack.enter_context(link.running(link.message(20), ("relay", "link")))
         compared = comparisons(this, other, bench, arguments.frames)
         for number, (name, measure) in enumerate(cycle(compared.items())):
             if time.monotonic() > end and number >= len(compared):
@@ -152,12 +156,15 @@ def main() -> None:
             (_, own), *others = measure().items()
             for side, seconds in others:
                 ratios[name, side].append(seconds / own)
-    print(f"other: {commit[:12]}; load {os.getloadavg()[0]:.1f} on {len(os.sched_getaffinity(0))} cores")
+    version = commit[:12] if commit else PEERS
+    print(f"other: {version}; load {os.getloadavg()[0]:.1f} on {len(os.sched_getaffinity(0))} cores")
     print(f"{'this to':48}{'median':>8}{'least':>8}{'most':>8}{'times':>8}")
     for (name, side), values in ratios.items():
         median, least, most = statistics.median(values), min(values), max(values)
         label = f"{name}: {side.replace('_', ' ')}"
         print(f"{label:48}{median:8.2f}{least:8.2f}{most:8.2f}{len(values):8}")
+    if arguments.json:
+        arguments.json.write_text(json.dumps({": ".join(of).replace("_", " "): each for of, each in ratios.items()}))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Time of a frame of SUMO's traffic with driven cars, in parts.
 
-    python benchmarks/sumo.py CONFIGURATION.sumocfg [--cars 20] [--start 400] [--scale 1] [--frames 100]
+    python benchmarks/sumo.py CONFIGURATION.sumocfg [--cars 20] [--start 400] [--scale 1] [--frames 100] [--json FILE]
 
 | line | what is measured |
 |---|---|
@@ -17,9 +17,11 @@ time, and at last how much faster than real time a frame of 0.1 s is, and with p
 from __future__ import annotations
 
 import argparse
+import json
 import statistics
 import time
 from collections import defaultdict
+from pathlib import Path
 
 import psutil
 from mast_datasets import SumoTraffic
@@ -44,6 +46,7 @@ def main() -> None:
     parser.add_argument("--start", type=float, default=400.0)
     parser.add_argument("--scale", type=float, default=1.0)
     parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--json", type=Path, help="file for ms of each frame")
     options = parser.parse_args()
     scene = SumoTraffic(
         path=options.configuration,
@@ -74,6 +77,10 @@ def main() -> None:
             ("routes", "step", "truth", "lidars", "detectors"), marks[:-1], marks[1:], strict=True
         ):
             times[name].append(end - start)
+    if options.json:
+        named = {f"{name} (ms)": [1000 * each for each in seconds] for name, seconds in times.items()}
+        named["frame (ms)"] = [sum(parts) for parts in zip(*named.values(), strict=True)]
+        options.json.write_text(json.dumps(named), "utf-8")
     processor_ms = 1000 * (processor_s() - begin_s) / options.frames
     world.close()
     print(f"{options.cars} driven cars, {len(present.truth)} objects around them")

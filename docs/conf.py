@@ -32,6 +32,7 @@ KINDS = {
     "Tutorials": ("tutorial-", ""),
     "How-to guides": ("how-to-", "troubleshooting"),
     "Explanation": ("explanation-", "known_limits roadmap"),
+    "Results": ("results/", ""),
     "Reference": ("ref-", "glossary stability"),
 }
 
@@ -40,7 +41,8 @@ def add_navigation(_: Sphinx, page: str, source: list[str]) -> None:
     """Append the tables of contents to the start page: they are not for its readers elsewhere."""
     if page != "index":
         return
-    pages = {path.stem for path in DOCS.glob("*.md")} - {"index"}
+    files = [*DOCS.glob("*.md"), *DOCS.glob("results/*.md")]
+    pages = {path.relative_to(DOCS).with_suffix("").as_posix() for path in files} - {"index"}
     for kind, (beginning, listed) in KINDS.items():
         named = sorted(name for name in pages if name.startswith(beginning) and name not in listed.split())
         entries = [*named, *(name for name in listed.split() if name in pages)]

@@ -9,7 +9,8 @@ def study(n_mobile=3, junction=8, scenes=4, trials=5, frames=150, seed=3000):
     congestion control, too.
 
     n_mobile: cars with sensors, besides the ego and four poles; junction: the first of the generated junctions;
-    scenes: their number; trials: seeds of each; seed: the first one; frames: of each run.
+    scenes: their number; 0: each seed has a junction of its own; trials: seeds of each; seed: the first
+    one; frames: of each run.
     """
     quantised, rules = dict(codec="cpm"), dict(rules="CpmGeneration")
     limits = dict(
@@ -21,7 +22,8 @@ def study(n_mobile=3, junction=8, scenes=4, trials=5, frames=150, seed=3000):
         name="messages",
         runs=runs,
         baseline="tracks",
-        scenes=[f"intersection:{junction + i}" for i in range(scenes)],
+        per_trial={} if scenes else dict(seed="scene_index"),
+        scenes=[f"intersection:{junction + i}" for i in range(scenes)] or [{}],
         trials=trials,
         frames=frames,
         seed=seed,

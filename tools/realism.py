@@ -19,9 +19,11 @@ from __future__ import annotations
 
 import argparse
 import ast
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -189,10 +191,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--detector", default="DetectionModel")
     parser.add_argument("--infrastructure", type=int, default=4)
     parser.add_argument("--mobile", type=int, default=0)
+    parser.add_argument("--json", type=Path, help="file for the numbers of each recording alone")
     chosen = parser.parse_args(arguments)
     scene = partial(Intersection, n_infrastructure=chosen.infrastructure, n_mobile=chosen.mobile)
     scenes = [scene(scene_index=index, detector=detector(chosen.detector)) for index in chosen.scenes]
     recordings = [each.record(seed, chosen.frames) for each in scenes for seed in chosen.seeds]
+    if chosen.json:
+        each_alone = [measure([recording]) for recording in recordings]
+        values = {f"{name} (real: {real})": [each[name] for each in each_alone] for name, real in REAL.items()}
+        chosen.json.write_text(json.dumps(values), "utf-8")
     for name, value in measure(recordings).items():
         print(f"{name:44} {value:8.2f}   real: {REAL[name]}")
 

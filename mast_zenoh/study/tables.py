@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow
@@ -23,6 +23,9 @@ from mast_zenoh.study.numbers import ACHIEVED, COMPROMISED, COOPERATION, DEFENCE
 from mast_zenoh.study.store import Store, table_writer
 from mast_zenoh.study.trial import Trial, TrialOutcome
 
+if TYPE_CHECKING:
+    from mast_zenoh.show.figures.drawing import RenderedFigure
+
 Value = int | float | str
 
 
@@ -31,6 +34,7 @@ class StudyResult:
     """A finished study with trials.
 
     rows: its estimates; facts: its configurations, seeds and versions; files: all files written; report: HTML page
+    figures: those on the page, by name
     own: tables and figures of a study of defences, or of a search, which the terminal shows instead
     """
 
@@ -39,6 +43,7 @@ class StudyResult:
     facts: StudyFacts
     files: list[Path]
     report: Path
+    figures: Mapping[str, RenderedFigure]
     own: kinds.StudyFiles | None = None
 
     def as_rich(self) -> Any:
@@ -113,7 +118,7 @@ def write(
         "table.md": study_table.as_markdown(rows, facts),
         "table.tex": study_table.as_latex(rows, facts),
     }
-    figures = {} if kind else figures_over_trials(rows, facts)
+    figures: Mapping[str, RenderedFigure] = {} if kind else figures_over_trials(rows, facts)
     names = ["results.parquet", "frames.parquet", *kinds.write_files(store.folder, texts, figures)]
     if own is not None:
         figures = {**own.figures, **figures}
@@ -121,7 +126,7 @@ def write(
     shown = own.tables if own is not None and own.on_page else None
     parts = (shown.tables, shown.headline, shown.reading) if shown else ()
     report = write_trials_page(store.folder, rows, facts, figures, *parts)
-    return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, own)
+    return StudyResult(store.folder, rows, facts, [store.folder / name for name in names], report, figures, own)
 
 
 def _write_parquet(

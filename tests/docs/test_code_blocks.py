@@ -39,7 +39,9 @@ from mast_zenoh.study.search import searching
 from mast_zenoh.tracking import SensorView
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted(
+    [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("results/*.md")]
+)
 KINDS = ("text", "mermaid", "console", "toml", "json", "python")
 
 

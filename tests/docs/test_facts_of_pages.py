@@ -173,7 +173,9 @@ def test_every_picture_has_a_recipe_a_page_and_a_description() -> None:
     files = {path for path in (ROOT / "docs").rglob("*") if path.suffix in SUFFIXES}
     shown = references()
     assert files == set(shown), "a picture that no page shows, or that does not exist"
-    assert files == {pictures.FOLDER / name for name in pictures.RECIPES}, "a picture without a recipe, or the reverse"
+    measured = {path for path in files if path.parent.name == "results"}  # `make results`
+    recipes = {pictures.FOLDER / name for name in pictures.RECIPES}
+    assert files - measured == recipes, "a picture without a recipe, or the reverse"
     for path, places in shown.items():
         for page, description in places:
             assert len(description) > 30, f"{page}: {path.name} needs a description for those who cannot see it"

@@ -14,7 +14,8 @@ PACKAGE = ROOT / "mast_zenoh"
 MODULES = sorted([*PACKAGE.rglob("*.py"), *(ROOT / "nodes").glob("*.py")])
 EXTENSIONS = [*PACKAGE.rglob("*.pyx")]
 FOLDERS = [path for path in [PACKAGE, *PACKAGE.rglob("*")] if path.is_dir()]
-PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *(ROOT / "docs").glob("*.md")])
+OF_DOCS = [page for pattern in ("*.md", "results/*.md") for page in (ROOT / "docs").glob(pattern)]
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *OF_DOCS])
 
 #: Folders from which texts name files.
 PLACES = (ROOT, PACKAGE, ROOT / "docs", ROOT / "tests", *(path for path in PACKAGE.iterdir() if path.is_dir()))

@@ -11,7 +11,8 @@ from browser import chromium
 
 pytestmark = [pytest.mark.heavy, pytest.mark.timeout(900)]
 ROOT = Path(__file__).parents[2]
-PAGES = sorted((ROOT / "docs").glob("*.md"))
+DOCS = ROOT / "docs"
+PAGES = sorted([*DOCS.glob("*.md"), *DOCS.glob("results/*.md")])
 
 
 @pytest.fixture(scope="module")
@@ -34,11 +35,12 @@ def test_every_page_is_in_the_site_and_in_its_navigation(site: Path) -> None:
     navigation = (site / "index.html").read_text("utf-8")
     for page in PAGES:
         title = page.read_text("utf-8").partition("\n")[0].removeprefix("# ")
-        shown = (site / f"{page.stem}.html").read_text("utf-8")
+        name = page.relative_to(DOCS).with_suffix("").as_posix()
+        shown = (site / f"{name}.html").read_text("utf-8")
         heading = re.search(r"<h1>(.*?)<a class=\"headerlink", shown, flags=re.DOTALL)
         assert heading, page.name
         assert words(unescape(re.sub(r"<[^>]+>", "", heading[1]))) == words(title), page.name
-        assert page.stem == "index" or f'<a class="reference internal" href="{page.stem}.html">' in navigation
+        assert name == "index" or f'<a class="reference internal" href="{name}.html">' in navigation
 
 
 def test_every_public_class_has_an_entry(site: Path) -> None:
@@ -53,7 +55,7 @@ def test_no_page_is_wider_than_a_telephone(site: Path) -> None:
     with chromium() as browser:
         page = browser.new_page(viewport={"width": 400, "height": 900}, offline=True)
         widths = {}
-        for file in sorted([*site.glob("*.html"), *site.glob("modules/*.html")]):
+        for file in sorted([*site.glob("*.html"), *site.glob("*/*.html")]):
             page.goto(file.as_uri())
             widths[file.name] = page.evaluate("document.documentElement.scrollWidth")
         page.close()

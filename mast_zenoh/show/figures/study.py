@@ -124,6 +124,9 @@ def text_of(value: object) -> str:
 #: A range of positive values with more than this ratio is drawn on a logarithmic axis.
 _LOG_FROM = 50.0
 
+#: Inches of a label of configurations that are below each other.
+_LINE = 0.25
+
 _ADDED = "more than in the baseline"
 _OVER_SEEDS = "95 % interval over seeds of these scenes"
 
@@ -202,7 +205,9 @@ def _draw(all_panels: Sequence[Panel], columns: Sequence[Axis], footer: str) -> 
     Heat maps of a column share their colour scale.
     """
     width = 11.25
-    heights = [3.75 + 0.25 * bool(panel.title) for panel in all_panels]
+    heights = [
+        max(3.75, _LINE * len(panel.ticks) * (not panel.numeric)) + 0.25 * bool(panel.title) for panel in all_panels
+    ]
     figure = Figure(figsize=(width, sum(heights) + 0.3), layout="constrained", facecolor="white")
     strips = figure.subfigures(len(all_panels), 1, height_ratios=heights, squeeze=False)[:, 0]
     all_rows = [row for panel in all_panels for curve in panel.curves.values() for row in curve]

@@ -171,6 +171,7 @@ class Cooperation(Kind):
             [table_of_rows(title, summary, table, _BRIEF)],
             note=few_trials(row["harm"] for row in table),
             headline=headline(table),
+            reading=[summary] if summary else (),
         )
 
     def figures(self, table: Sequence[Row]) -> Mapping[str, RenderedFigure]:
