@@ -133,4 +133,4 @@ def test_the_page_has_every_column_of_the_tables_of_a_study() -> None:
     assert described["results.parquet"] == set(study_numbers._COLUMNS)
     columns = set.union(*described.values()) | {"frame", "agent", "scored"}
     columns |= {name for name, measure in MEASURES.items() if measure.axis}
-    assert columns == set(definition.COLUMNS)
+    assert columns == set(definition.RESULT_COLUMNS)

@@ -124,4 +124,4 @@ def test_without_truth_the_trackers_themselves_are_judged(once: Once) -> None:
     estimates = [each for of_agent in blind.metrics["consistency"].values() for each in of_agent.values()]
     assert {summary["position"]["pairs"] for summary in estimates} == {0}
     (notice,) = confidence_notices(blind)
-    assert (notice["who"], notice["what"], notice["cause"]) == (["infra_2"], "tracker", ["2"])
+    assert (notice["who"], notice["what"]) == (["infra_2"], "tracker")
