@@ -35,13 +35,12 @@ from rich.console import Console
 from scipy import stats
 
 from mast_zenoh.errors import Interrupted, MastError
-from mast_zenoh.metrics.study_results import Row
+from mast_zenoh.metrics.study_results import Row, StudySeries
 from mast_zenoh.show.figures.drawing import RenderedFigure
 from mast_zenoh.show.findings import of_study
-from mast_zenoh.show.tables.study_rows import MOSTLY_ZERO, over_trials
+from mast_zenoh.show.tables.study_rows import MOSTLY_ZERO_NOTE, over_trials
 from mast_zenoh.show.tables.text_table import TextTable, csv_text, numbers_of_rows, shown, table_of_rows
-from mast_zenoh.study import definition, interface
-from mast_zenoh.study.defences import intervals
+from mast_zenoh.study import definition, interface, statistics
 from mast_zenoh.study.tables import StudyResult
 
 ROOT = Path(__file__).parents[1]
@@ -117,7 +116,7 @@ def measure(page: Page, part: Benchmark, *, quick: bool) -> Played:
     values = {name: np.array(each) for name, each in json.loads(file.read_text("utf-8")).items()}
     rows = []
     for name, each in values.items():
-        median = intervals.pooled(lambda of, each=each: float(np.median(each[of])), len(each))
+        median = statistics.pooled(lambda of, each=each: float(np.median(each[of])), len(each))
         rows.append(Row({"": name}, len(each), {part.heading: median}))
     columns = {part.heading: shown(part.heading), "times": lambda row: str(row.trials)}
     numbers = [{"study": part.program} | line for line in lines_of(*numbers_of_rows(rows))]
@@ -151,11 +150,11 @@ def of_columns(part: Part, result: StudyResult) -> tuple[TextTable, list[dict[st
         Row(
             {"": row.title},
             0,
-            {names[heading]: row.get(metric, who) for heading, (who, metric) in part.columns.items()},
+            {names[heading]: row.get(StudySeries("", who, metric)) for heading, (who, metric) in part.columns.items()},
         )
         for row in result.rows
     ]
-    about = MOSTLY_ZERO if any(each.mostly_zero for row in rows for each in row.numbers.values()) else ""
+    about = MOSTLY_ZERO_NOTE if any(each.mostly_zero for row in rows for each in row.numbers.values()) else ""
     texts = {heading: shown(f"{of} {metric}", over_trials) for heading, (of, metric) in part.columns.items()}
     return table_of_rows(part.title, about, rows, texts), list(lines_of(*numbers_of_rows(rows)))
 
