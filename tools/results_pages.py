@@ -118,7 +118,7 @@ PAGES = (
                 full=dict(preset="adaptive", budgets=(2.0,), frames=100),
                 quick=dict(
                     preset="adaptive",
-                    adversaries="BlindSpot,Framing",
+                    adversaries="BlindSpot",
                     counts=(2,),
                     placements="random",
                     budgets=(2.0,),
@@ -157,7 +157,7 @@ PAGES = (
                 "cooperation",
                 full=dict(preset="full", agents=(5, 20), scenes=junctions(8, 12), trials=3),
                 quick=dict(
-                    agents=(5,), architectures="centre,peers,radio", scenes=junctions(8, 12), trials=1, preset="quick"
+                    agents=(5,), architectures="centre,radio", scenes=junctions(8, 12), trials=1, preset="quick"
                 ),
                 figure="cooperation",
                 table="Lies",
@@ -239,7 +239,7 @@ PAGES = (
                 "Trackers side by side",
                 "trackers",
                 full=dict(trials=20),
-                quick=dict(trials=5, trackers="mast,filterpy,Stone Soup in agents,short record of detections"),
+                quick=dict(trials=5, trackers="mast,filterpy,Stone Soup in agents"),
                 figure="trackers",
                 table="Trackers",
             ),
@@ -263,7 +263,7 @@ PAGES = (
                 "Medians, of runs one after the other. Memory is the proportional set size.",
                 "benchmarks/mesh.py",
                 ("--times", "10", "--agents", "5", "20", "41"),
-                ("--times", "1", "--agents", "5", "--frames", "300"),
+                ("--times", "1", "--agents", "5"),
                 "median",
             ),
             Benchmark(
