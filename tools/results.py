@@ -89,15 +89,16 @@ def play(page: Page, part: Part, *, quick: bool, cluster: str | None) -> Played:
     result.raise_failures()
     table, numbers = of_kind(part, result) if part.table else of_columns(part, result)
     words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
-    words += [word for name, value in chosen.items() for word in ("--set", f"{name}={part.paths.get(name, value)}")]
+    places = {name: place(path) for name, path in part.paths.items()}
+    words += [word for name, value in chosen.items() for word in ("--set", f"{name}={places.get(name, value)}")]
     apart = ", each at a junction of its own" * (study.per_trial.get("seed") == "scene_index")
     facts, question = result.facts, ast.get_docstring(ast.parse(study.path.read_text("utf-8")))
     return Played(
         part.title,
-        sentences_of(result)[:_SENTENCES],
+        shortened(sentences_of(result)),
         table,
         [{"study": part.study} | line for line in numbers],
-        shlex.join(["mast", "study", part.study, *words]),
+        command("mast", "study", part.study, *words),
         f"{question} {facts.size}{apart}, {facts.frames or 'all'} frames each{', in $MAST_DATA' * bool(part.paths)}.",
         f"{part.study} {' to '.join(dict.fromkeys(map(str, (facts.seeds[0], facts.seeds[-1]))))}",
         result.figures[part.figure],
@@ -108,8 +109,8 @@ def measure(page: Page, part: Benchmark, *, quick: bool) -> Played:
     """Run a benchmark, or read what it wrote before; numbers differ from machine to machine."""
     file = BUILT / "studies" / ("quick" if quick else "full") / f"{page.name} {part.title}.json"
     options = part.quick if quick else part.full
-    words = [part.program, *([part.path] if part.path else []), *options]
-    arguments = [data(part.path) if word == part.path else word for word in words]
+    paths = [part.path] if part.path else []
+    arguments = [part.program, *map(data, paths), *options]
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
         subprocess.run([sys.executable, *arguments, "--json", str(file)], cwd=ROOT, check=True)
@@ -121,7 +122,7 @@ def measure(page: Page, part: Benchmark, *, quick: bool) -> Played:
     columns = {part.heading: shown(part.heading), "times": lambda row: str(row.trials)}
     numbers = [{"study": part.program} | line for line in lines_of(*numbers_of_rows(rows))]
     table = table_of_rows(part.title, part.about, rows, columns)
-    return Played(part.title, [], table, numbers, shlex.join(["python", *words]))
+    return Played(part.title, [], table, numbers, command("python", part.program, *map(place, paths), *options))
 
 
 def data(name: str) -> str:
@@ -133,6 +134,17 @@ def data(name: str) -> str:
     return ":".join([*kind, str(found)])
 
 
+def place(name: str) -> str:
+    """Recorded data, or a scene's short name with it, as in a command."""
+    kind, colon, path = name.rpartition(":")
+    return f"{kind}{colon}$MAST_DATA/{path}"
+
+
+def command(*words: str) -> str:
+    """A line for a shell, in which $MAST_DATA is replaced."""
+    return " ".join(f'"{word}"' if "$MAST_DATA" in word else shlex.quote(word) for word in words)
+
+
 def sentences_of(result: StudyResult) -> list[str]:
     """What the page of the study says first."""
     rows, facts = of_study.titled(result.rows, result.facts)
@@ -141,6 +153,11 @@ def sentences_of(result: StudyResult) -> list[str]:
     if own is not None and (own.headline or own.reading):
         return [*([f"{own.headline}."] if own.headline else []), *own.reading]
     return [of_study.result(rows, facts, comparisons), *of_study.other_changes(rows, facts, comparisons)]
+
+
+def shortened(sentences: Sequence[str]) -> list[str]:
+    """The first ones and the last, which says what cannot be told from no change."""
+    return [*sentences[: _SENTENCES - 1], *sentences[max(_SENTENCES - 1, len(sentences) - 1) :]]
 
 
 def of_columns(part: Part, result: StudyResult) -> tuple[TextTable, list[dict[str, object]]]:

@@ -267,8 +267,10 @@ PAGES = (
                 "median",
             ),
             Benchmark(
-                "Next to other programs",
-                "Above 1, mast is faster: medians of ratios, each of two measurements one after the other.",
+                "Ratios",
+                "Above 1, mast is faster: medians of ratios, each of two measurements one after the other. `tracker`: "
+                "one step with 50 objects; in a whole run its ratio is smaller. `mesh`, `closed loop`: other forms of "
+                "the same run.",
                 "benchmarks/ratios.py",
                 ("--minutes", "10", "--against", "peers"),
                 ("--minutes", "0", "--against", "peers", "--frames", "40"),

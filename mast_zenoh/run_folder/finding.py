@@ -89,13 +89,21 @@ def notice_lines(record: Mapping[str, Any]) -> list[str]:
 
 
 def sentence(finding: Finding, *context: Any) -> str:
-    """A finding in words, without a capital letter and a full stop; of a kind without a phrase, by its fields.
+    """A finding in words, without a capital letter and a full stop; by its fields if its phrase misses something.
 
     context: what phrases on the results of a run need: the run, and the function that says where a finding is
     """
     every = macros(Path(__file__).with_name("phrases.j2"))  # those of other macros alone begin with _
     phrase = every.get(finding.kind.replace(" ", "_"), every["notice"])
-    return " ".join(phrase(finding, *context).split())
+    from jinja2 import UndefinedError  # slow, so that nodes do without
+
+    try:
+        text = phrase(finding, *context)
+    except (UndefinedError, TypeError):
+        if context:
+            raise
+        text = every["notice"](finding)  # a field that the phrase needs is missing: another version wrote it
+    return " ".join(text.split())
 
 
 def names(each: Sequence[str], most: int = _MOST_NAMES) -> str:

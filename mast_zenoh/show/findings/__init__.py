@@ -102,8 +102,8 @@ def of_compared(runs: Mapping[str, Run], reference: Reference) -> tuple[str, lis
 
 def _harm(run: Run, reference: Reference) -> tuple[float, ...]:
     """Collisions, needless brakes, m of way that are lost, and the weight of the largest change."""
-    counts, over = cars.worst(run, reference), of_errors(run, reference)
+    counts, over = cars.counts(run, reference), of_errors(run, reference)
     events = [sum(each.value or 0.0 for each in counts if each.what == what) for what in ("hits", "needless")]
-    lost_m = sum((each.other or 0.0) - (each.value or 0.0) for each in counts if each.what == "way")
+    lost_m = sum(each.other - (each.value or 0.0) for each in counts if each.what == "way" and each.other is not None)
     change = None if over is None else largest_change(run, over)
-    return (*events, lost_m, 0.0 if change is None else abs(change.weight))
+    return (*events, lost_m, 0.0 if change is None else max(0.0, change.weight))

@@ -184,7 +184,9 @@ def _reasons_of_targets(run: Run, interposer: Interposer, targets: Table, blamed
 
 def _late_starts_s(run: Run) -> dict[str, float | None]:
     """s, the starts of attacks planned for after the end of the run, by adversary, as its launcher found them."""
-    return {each.who[0]: each.value for each in run.notices if each.kind == "idle" and each.cause == ("late",)}
+    return {
+        each.who[0]: each.value for each in run.notices if each.kind == "idle" and each.who and each.cause == ("late",)
+    }
 
 
 def _inserted(run: Run, targets: Table, achieved: Mapping[str, Any]) -> tuple[str, float | None] | None:

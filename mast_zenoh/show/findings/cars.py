@@ -34,7 +34,7 @@ def worst(run: Run, reference: Reference | None = None) -> list[Finding]:
     reference: the run that it is compared with, such as its unattacked twin
     """
     hits, others = list[Finding](), list[Finding]()
-    for each in _counts(run, reference):
+    for each in counts(run, reference):
         if each.what == "hits" and (each.value or each.other):
             hits.append(each)
         differs = each.other is not None and abs((each.value or 0.0) - each.other) > WAY_M
@@ -61,7 +61,7 @@ def of_cars(run: Run, reference: Reference | None = None) -> list[Finding]:
         brakes.sort(key=lambda brake: -(brake.value or 0.0))
         result += brakes[:_MOST]
         shown = [
-            each for each in _counts(run, reference) if each.who == (car,) and each.what not in ("hits", "needless")
+            each for each in counts(run, reference) if each.who == (car,) and each.what not in ("hits", "needless")
         ]
         result += [each for each in shown if each.value or each.other or each.what == "way"]
         if len(brakes) > _MOST:
@@ -69,7 +69,7 @@ def of_cars(run: Run, reference: Reference | None = None) -> list[Finding]:
     return result
 
 
-def _counts(run: Run, reference: Reference | None) -> list[Finding]:
+def counts(run: Run, reference: Reference | None) -> list[Finding]:
     """The numbers of each car, beside those of the reference if that drives it too."""
     others = drives(reference.run) if reference is not None else {}
     result = []

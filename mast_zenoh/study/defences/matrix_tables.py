@@ -308,6 +308,8 @@ def headline(matrix: MatrixTable) -> str:
     effects = {(index, name): row[name] for index, row in enumerate(rows) for name in _HEADLINE}
     for index, name in clearest(effects):
         row = rows[index]
+        if row[name].value <= 0.0:
+            continue  # what a defence leaves may be fewer errors than without attack and defence
         of, added = row.of, _HEADLINE[name].format(_text(name)(row))
         liars = f"{of['attack']} ({plural(of['n_adversaries'], 'agent')}, {of['placement']})"
         return f"The clearest damage: {liars} against {of['defence']} adds {added}"
