@@ -41,9 +41,9 @@ class OpenedRun(Run):
 
     @property
     def headline(self) -> str:
-        """The report's title: the largest change that adversaries or faults made.
+        """What the run is told in one sentence; of a run that was compared, without the comparison.
 
-        With drivers, what happened to their cars comes first.
+        Collisions of cars come first, then the largest change that adversaries or faults made.
         """
         from mast_zenoh.show.findings import headline
 

@@ -111,7 +111,7 @@ def test_figures_explain_missing_bars(
     monkeypatch.setattr(study, "_draw", lambda *words: footers.append(words[-1]) or pictures(*words))
     figure = figures_over_trials(rows, facts(rows))["increments"]
     assert footer in footers[0]
-    assert figure.caption.endswith(f"agents. {caption}")
+    assert figure.caption.endswith(f"picture. {caption}")
 
 
 def test_success_begins_at_zero_adversaries_and_every_figure_is_also_a_pdf(tmp_path, monkeypatch) -> None:

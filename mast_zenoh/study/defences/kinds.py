@@ -6,6 +6,7 @@ A kind is a subclass of `Kind`, in a module of this package or in the file of a 
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -20,7 +21,15 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.config import loading
-from mast_zenoh.errors import ConfigurationError, Interrupted, MastError, is_disk_full, is_out_of_resources, place_of
+from mast_zenoh.errors import (
+    ConfigurationError,
+    Interrupted,
+    MastError,
+    is_disk_full,
+    is_out_of_resources,
+    nearest,
+    place_of,
+)
 from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Statistic, size_of
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.show.tables.text_table import FEW_TRIALS, ResultTables
@@ -35,6 +44,10 @@ if TYPE_CHECKING:
 
 
 Expected = TypeVar("Expected")
+#: In the text of a TypeError: a function was called with arguments that it does not have.
+_WRONG_CALL = re.compile(
+    r"unexpected keyword argument|required (positional|keyword-only) argument|positional arguments? but"
+)
 
 
 class Factors(dict[str, Any]):
@@ -87,6 +100,7 @@ class Kind(ABC):
         #: the trials planned for every configuration, with their place in the order of the study
         self.order = {TrialKey(scene, seed): index for index, (scene, seed) in enumerate(product(scenes, seeds))}
         self._factors = dict(factors)
+        self._measured: set[str] = set()
         #: why results cannot be made, with the number of trials or parts that fail so
         self._problems: Counter[str] = Counter()
         #: those of them that are wrong arguments
@@ -124,12 +138,18 @@ class Kind(ABC):
         """Add a finished trial; returns its measures, {} if they fail."""
         factors = self._factors[outcome.trial.configuration]
         with self._attempted("measures"):
-            self.trials[factors][outcome.trial.key] = self.measures(factors, outcome)
+            self.trials[factors][outcome.trial.key] = measured = self.measures(factors, outcome)
+            self._measured.update(measured)
         return self.trials[factors].get(outcome.trial.key, {})
 
     def values(self, factors: Factors, name: str) -> Floats:
-        """(trials,) a number of each trial planned for a configuration, in the order of the study; NaN: it has none."""
+        """(trials,) a number of each trial planned for a configuration, in the order of the study; NaN: it has none.
+
+        Raises LookupError for a name that no trial of the study has.
+        """
         done = self.trials.get(factors, {})
+        if name not in self._measured and self._measured:
+            raise LookupError(f"no trial has a measure {name!r}{nearest(name, self._measured)}")
         return np.array([done[key].get(name, NAN) if key in done else NAN for key in self.order], np.float64)
 
     def mean(
@@ -194,7 +214,9 @@ class Kind(ABC):
             text = str(error) if isinstance(error, MastError) else f"{type(error).__name__}: {error}"
             problem = f"{place or f'{code.co_filename}:{code.co_firstlineno}'}: {part}: {text}"
             self._problems[problem] += 1
-            if isinstance(error, ConfigurationError):
+            if isinstance(error, ConfigurationError) or (
+                isinstance(error, TypeError) and _WRONG_CALL.search(str(error))
+            ):
                 self._wrong.append(problem)
 
     def rehearse(self, outcome: TrialOutcome | None = None) -> list[str]:
