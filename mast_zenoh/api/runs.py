@@ -41,7 +41,7 @@ class OpenedRun(Run):
 
     @property
     def headline(self) -> str:
-        """What the run is told in one sentence; of a run that was compared, without the comparison.
+        """The run in one sentence; of a run that was compared, without the comparison.
 
         Collisions of cars come first, then the largest change that adversaries or faults made.
         """
