@@ -14,6 +14,7 @@ from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.mesh.security.levels import LEVELS
 from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.scenario.reading import checked_name, name_of_file
+from mast_zenoh.study import numbers
 from mast_zenoh.study.defences.kinds import Factors, Kind, name_of_kind
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ RUN_KEYS = {
 RUNTIMES = ("mesh", "inproc")
 #: Columns of results.parquet, frames.parquet and table.csv: no parameter of a grid may have one of these names.
 RESULT_COLUMNS = {
-    *("configuration", "scene", "seed", "who", "estimator", "metric", "value", "std", "frames"),
+    *numbers.COLUMNS,
     *("frame", "agent", "scored", *(name for name, measure in MEASURES.items() if measure.axis)),
     *("mean", "std_over_frames", "mean_over_trials", "low", "high", "scenes_low", "scenes_high", "p", "p_holm"),
     *("zero_share", "zero_low", "zero_high"),

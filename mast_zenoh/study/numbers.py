@@ -36,7 +36,7 @@ _SELECTIVE_DRIVEN = frozenset({_MIN_TTC, "min_gap_m", "min_pet_s", "behind.shock
 #: The agent name of numbers of all compromised agents together.
 COMPROMISED = "compromised"
 #: The columns of results.parquet, and their types.
-_COLUMNS = {
+COLUMNS = {
     "configuration": str,
     "scene": str,
     "seed": np.int64,
@@ -278,10 +278,8 @@ def columns(trial: Trial, trial_numbers: Sequence[Number]) -> Table:
     """
     key = (trial.configuration, trial.scene, trial.seed)
     rows = [key + number[:6] for number in trial_numbers]
-    by_column = list(zip(*rows, strict=True)) if rows else [()] * len(_COLUMNS)
-    return {
-        name: np.array(column, dtype=kind) for (name, kind), column in zip(_COLUMNS.items(), by_column, strict=True)
-    }
+    by_column = list(zip(*rows, strict=True)) if rows else [()] * len(COLUMNS)
+    return {name: np.array(column, dtype=kind) for (name, kind), column in zip(COLUMNS.items(), by_column, strict=True)}
 
 
 def frames(outcome: TrialOutcome) -> Table:

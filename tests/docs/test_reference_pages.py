@@ -130,7 +130,7 @@ def test_the_page_has_every_column_of_the_tables_of_a_study() -> None:
     described = {name: names(writers, "Columns") for name, writers in run_folder.STUDY_TABLES.items()}
     assert described.pop("KIND.csv, search.csv") == {"measure", *BOUNDS}
     described.pop("candidates.csv")
-    assert described["results.parquet"] == set(study_numbers._COLUMNS)
+    assert described["results.parquet"] == set(study_numbers.COLUMNS)
     columns = set.union(*described.values()) | {"frame", "agent", "scored"}
     columns |= {name for name, measure in MEASURES.items() if measure.axis}
     assert columns == set(definition.RESULT_COLUMNS)

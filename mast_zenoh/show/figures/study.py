@@ -149,10 +149,10 @@ _INCREMENTS: dict[str, Sequence[Axis]] = {
     ],
 }
 _CAPTIONS = {
-    "increments": "What each configuration adds to the picture.",
+    "increments": "What each configuration adds to the picture",
     "increments_mission": "What each configuration adds to what the ego acts on: its own tracks and the picture "
-    "together.",
-    "success": "In how many trials the attacks of each configuration succeeded; without adversaries none can.",
+    "together",
+    "success": "In how many trials the attacks of each configuration succeeded; without adversaries none can",
 }
 
 
@@ -179,9 +179,8 @@ def figures_over_trials(rows: Sequence[Row], facts: StudyFacts) -> dict[str, Ren
         (footer,) = of_study("footer", seeds=seeds, scenes=scenes, interval=f"{_OVER_SEEDS} ({how})", **_bars(known))
         if any(panel.y for panel in all_panels):
             footer += "; in brackets where it contains 0 or there is none"
-        about = _CAPTIONS[name]
-        if any(axis.measure.owner == "compromised" for axis in axes):
-            about = f"{about.removesuffix('.')}, and to the own tracks of the compromised agents."
+        own = any(axis.measure.owner == "compromised" for axis in axes)
+        about = f"{_CAPTIONS[name]}{', and to the own tracks of the compromised agents' * own}."
         caption = " ".join([about, *(of_study("bar_notes", **_bars(known)) if name in _INCREMENTS else [])])
         of_first = [(row.configuration, row.get(axes[0].measure)) for row in rows]
         values = "; ".join(f"{label} {over_trials(each)}" for label, each in of_first if each.seeds)

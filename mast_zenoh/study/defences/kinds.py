@@ -100,7 +100,6 @@ class Kind(ABC):
         #: the trials planned for every configuration, with their place in the order of the study
         self.order = {TrialKey(scene, seed): index for index, (scene, seed) in enumerate(product(scenes, seeds))}
         self._factors = dict(factors)
-        self._measured: set[str] = set()
         #: why results cannot be made, with the number of trials or parts that fail so
         self._problems: Counter[str] = Counter()
         #: those of them that are wrong arguments
@@ -138,8 +137,7 @@ class Kind(ABC):
         """Add a finished trial; returns its measures, {} if they fail."""
         factors = self._factors[outcome.trial.configuration]
         with self._attempted("measures"):
-            self.trials[factors][outcome.trial.key] = measured = self.measures(factors, outcome)
-            self._measured.update(measured)
+            self.trials[factors][outcome.trial.key] = self.measures(factors, outcome)
         return self.trials[factors].get(outcome.trial.key, {})
 
     def values(self, factors: Factors, name: str) -> Floats:
@@ -148,8 +146,10 @@ class Kind(ABC):
         Raises LookupError for a name that no trial of the study has.
         """
         done = self.trials.get(factors, {})
-        if name not in self._measured and self._measured:
-            raise LookupError(f"no trial has a measure {name!r}{nearest(name, self._measured)}")
+        if not any(name in each for each in done.values()):
+            known = {each for trials in self.trials.values() for measured in trials.values() for each in measured}
+            if known and name not in known:
+                raise LookupError(f"no trial has a measure {name!r}{nearest(name, known)}")
         return np.array([done[key].get(name, NAN) if key in done else NAN for key in self.order], np.float64)
 
     def mean(
