@@ -48,6 +48,8 @@ def measured(agents: int, frames: int) -> dict[str, float]:
         try:
             inserted = None
             while inserted is None:  # until the first frame
+                if run.poll() is not None:
+                    sys.exit(f"the run ended with {run.returncode} before its first frame")
                 time.sleep(_POLL_S)
                 asked = time.monotonic()
                 with suppress(NotRunning):

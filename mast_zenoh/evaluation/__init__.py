@@ -9,7 +9,7 @@
                   those that a replay plays
     trust         what the command centre's trust was worth
 
-See docs/explanation-metrics-and-causes.md and docs/explanation-metrics-and-causes.md.
+See docs/explanation-metrics-and-causes.md.
 """
 
 from mast_zenoh.evaluation.evaluation import Evaluation

@@ -2,7 +2,7 @@
 
 Trials are crossed: every scene is played with the same seeds. Trials that share a scene (its traffic) or a seed (its
 draws) are correlated, so the units here are whole seeds and whole scenes, never single trials. docs/how-to-studies.md
-explains the intervals and lists their simulated coverage.
+explains the intervals; tests/study/interval_coverage.py simulates how often they hold.
 
 Values are arrays (..., scenes, seeds), one value per trial, none missing; leading axes are independent samples.
 
