@@ -164,7 +164,8 @@ class NewestScore(NamedTuple):
     """Counts of objects in the picture of an agent about a frame.
 
     rmse_m: of the matched objects, m; None without any
-    latency_ms: median of the newest pictures, from the clock of their frame to their arrival; None in lock-step
+    latency_ms: median of the newest pictures, from the clock of their frame to their arrival; None in lock-step, and
+        until a picture has arrived whose clock was heard
     """
 
     agent: str
@@ -237,8 +238,8 @@ class MeshScores:
         self._truth: Any = session.declare_subscriber(f"{prefix}/{keys.truth}", ring(_TRUTHS))
         # A ring costs less, but does not say when a message has arrived. Only real time has latencies.
         into = [_timed(queue) if realtime else ring(1) for queue in (self._arrivals, self._clocks)]
-        self._picture: Any = session.declare_subscriber(f"{prefix}/{keys.picture}", into[0])
         self._clock: Any = session.declare_subscriber(f"{prefix}/{keys.clock}", into[1]) if realtime else None
+        self._picture: Any = session.declare_subscriber(f"{prefix}/{keys.picture}", into[0])
 
     def newest(self) -> NewestScore | None:
         """The score of the newest picture; None if there is none, or its truth is not known any more."""

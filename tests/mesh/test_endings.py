@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 import threading
+from itertools import dropwhile
 from pathlib import Path
 
 import held_back
@@ -132,5 +133,7 @@ def test_rates_lags_and_the_score_are_those_of_the_run(monkeypatch, tmp_path, mo
     scores = [each.score for each in playing if each.score is not None]
     assert len({each.frame for each in scores}) > 3
     assert all(each[2:5] == expected[each.frame] for each in scores)
-    latencies = {each.latency_ms is not None and each.latency_ms > 0.0 for each in scores}
-    assert latencies == {mode == "realtime"}
+    # The scores begin while the scene is played: the clock of the first pictures may have gone by.
+    latencies = list(dropwhile(lambda latency: latency is None, (each.latency_ms for each in scores)))
+    assert bool(latencies) == (mode == "realtime")
+    assert all(latency is not None and latency > 0.0 for latency in latencies)
