@@ -3,7 +3,8 @@
 from math import inf
 
 from mast_zenoh.metrics.study_results import NAN, Row
-from mast_zenoh.show.tables.text_table import ResultTables, measured, numbers_of_rows, shown, table_of_rows
+from mast_zenoh.show.number_text import measured
+from mast_zenoh.show.tables.text_table import ResultTables, numbers_of_rows, shown, table_of_rows
 from mast_zenoh.study.choices import words
 from mast_zenoh.study.defences.kinds import Kind
 

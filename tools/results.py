@@ -38,7 +38,8 @@ from mast_zenoh.errors import Interrupted, MastError
 from mast_zenoh.metrics.study_results import Row, StudySeries
 from mast_zenoh.show.figures.drawing import RenderedFigure
 from mast_zenoh.show.findings import of_study
-from mast_zenoh.show.tables.study_rows import MOSTLY_ZERO_NOTE, over_trials
+from mast_zenoh.show.number_text import over_trials
+from mast_zenoh.show.study_columns import MOSTLY_ZERO_NOTE
 from mast_zenoh.show.tables.text_table import TextTable, csv_text, numbers_of_rows, shown, table_of_rows
 from mast_zenoh.study import definition, interface, statistics
 from mast_zenoh.study.tables import StudyResult
@@ -149,10 +150,9 @@ def sentences_of(result: StudyResult) -> list[str]:
     """What the page of the study says first."""
     rows, facts = of_study.titled(result.rows, result.facts)
     comparisons = of_study.compare(rows, facts.baseline)
-    own = result.own.tables if result.own is not None else None
-    if own is not None and (own.headline or own.reading):
-        return [*([f"{own.headline}."] if own.headline else []), *own.reading]
-    return [of_study.result(rows, facts, comparisons), *of_study.other_changes(rows, facts, comparisons)]
+    own = (result.own.tables.headline, result.own.tables.reading) if result.own is not None else ()
+    headline, reading, _ = of_study.conclusions(rows, facts, comparisons, *own)
+    return [f"{headline}.", *reading]
 
 
 def shortened(sentences: Sequence[str]) -> list[str]:

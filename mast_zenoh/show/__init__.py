@@ -6,7 +6,8 @@ comparison         the reference run of a comparison;  compare  the scores of se
 run_figure         the base class of figures of a run, those of users included
 figures/           the pictures and charts of runs and of studies
 film/              films and stills of runs
-tables/            rows and cells, for every output
+tables/            rows and cells, for every output;  number_text  numbers and their intervals in words
+study_columns      the measures of a study that tables and sentences compare
 findings/          what is worth saying of a run, as data, and the words, of studies too
 html               the pages, rendered from templates/;  page/  the part that plays runs in a browser
 terminal           results on the terminal

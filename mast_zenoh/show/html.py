@@ -389,28 +389,25 @@ def write_trials_page(
     rows, facts = of_study.titled(rows, facts)
     comparisons = of_study.compare(rows, facts.baseline)
     parts = sections(rows, facts, comparisons)
-    errors = of_study.result(rows, facts, comparisons)
-    # Errors of single kinds may be unclear where the study's own measure is clear.
-    named = not own_headline or (errors.startswith(of_study.NO_CHANGE) and not own_reading)
-    changes = [*[errors] * (not named), *of_study.other_changes(rows, facts, comparisons)]
+    said_first = of_study.conclusions(rows, facts, comparisons, own_headline, own_reading)
     scores, title = side_by_side(rows), difference_title(rows, facts.baseline)
     content = {
         "title": f"Study {facts.name}",
-        "headline": own_headline or errors.removesuffix("."),
+        "headline": said_first.headline,
         "facts": _study_facts(facts),
         "failures": facts.failures,
         "failed": facts.failed,
         "shown_at_once": _SHOWN_AT_ONCE,
         "reservations": of_study.reservations(rows, facts),
-        "reading": own_reading or changes,
-        "errors": changes if own_reading else [],
+        "reading": said_first.reading,
+        "errors": said_first.errors,
         "figures": figures,
-        "added": [each for each in parts if each.title.startswith(title)],
+        "added": parts.added,
         "added_title": f"{title}: errors of estimates" if own_reading else title,
         "own_tables": tables,
         "comparisons": of_study.comparisons_made(comparisons),
         "scores": scores if scores.lines else None,
-        "others": [each for each in parts if not each.title.startswith((title, "Scores"))],
+        "others": parts.others,
         "configurations": [
             (label, scenario, settings, facts.done.get(label, 0), facts.planned)
             for label, (scenario, settings) in facts.configurations.items()

@@ -11,7 +11,7 @@ from kept_texts import assert_kept
 
 from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, STUDENT, Statistic
 from mast_zenoh.show.compare import as_text
-from mast_zenoh.show.tables.text_table import measured, median_delay
+from mast_zenoh.show.number_text import measured, median_delay
 from mast_zenoh.study.defences.matrix_table import DEFENCE_MEASURES, MatrixTable
 from mast_zenoh.study.defences.matrix_tables import matrix_tables
 

@@ -14,8 +14,8 @@ from mast_zenoh.show.figures.over_time import driving_over_time
 from mast_zenoh.show.findings import changes, found_in
 from mast_zenoh.show.findings.adversaries import limits
 from mast_zenoh.show.findings.words import said
+from mast_zenoh.show.number_text import DASH
 from mast_zenoh.show.tables.of_run import achieved_table, driving_table
-from mast_zenoh.show.tables.text_table import DASH
 
 RunOf = Callable[..., Run]
 

@@ -10,8 +10,8 @@ import pytest
 from mast_zenoh.metrics import Consistency
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.html import write_report
+from mast_zenoh.show.number_text import DASH
 from mast_zenoh.show.tables.of_run import confidence_tables, nees_table
-from mast_zenoh.show.tables.text_table import DASH
 from mast_zenoh.tracking import Innovations
 
 

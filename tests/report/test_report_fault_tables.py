@@ -19,8 +19,8 @@ from mast_zenoh.runs.run import Run
 from mast_zenoh.show.figures.over_time import causes_over_time, counts_over_time
 from mast_zenoh.show.figures.timeaxis import Band, bands, lanes, place_bands
 from mast_zenoh.show.html import write_report
+from mast_zenoh.show.number_text import DASH
 from mast_zenoh.show.tables.of_run import cause_table, check_lines, check_table, latency_tables
-from mast_zenoh.show.tables.text_table import DASH
 
 PARTITION = {"label": "Partition infra_1", "kind": "fault", "type": "Partition", "at_s": 0.5, "until_s": 1.5}
 KILL = {"label": "Kill infra_2", "kind": "fault", "type": "Kill", "at_s": 1.0, "until_s": None}

@@ -7,7 +7,7 @@ import pytest
 
 from mast_zenoh.run_folder.finding import Finding, sentence
 from mast_zenoh.runs.files import RunFiles
-from mast_zenoh.runs.interposers import Interposer, adversaries_by_agent, exit_expected, interposers
+from mast_zenoh.runs.interposers import Interposer, adversaries_by_agent, all_wires, exit_expected, interposers
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.figures.diagram import draw_wiring
 from mast_zenoh.show.figures.style import svg
@@ -15,7 +15,7 @@ from mast_zenoh.show.findings.adversaries import attacks, effects, positions
 from mast_zenoh.show.findings.causes import reaches
 from mast_zenoh.show.findings.words import said
 from mast_zenoh.show.html import environment
-from mast_zenoh.show.tables.wiring import Spot, WireRow, all_wires, layout, wire_rows
+from mast_zenoh.show.tables.wiring import Spot, WireRow, layout, wire_rows
 
 MEASURED = {"messages": 40, "effects": {"inserted": 3, "corrupted": 2}, "reports": 0, "agreement": "silent"}
 MEASURED |= {"unreported": 5, "unfounded": 0, "role": "adversary", "wires": ["agent/infra_1/tracks"]}

@@ -13,9 +13,9 @@ from scipy.stats import binomtest
 from study_samples import BASELINE, estimate, facts, grid, row
 
 from mast_zenoh.metrics.study_results import FailedTrial, IdleAttack, Row, Statistic, StudySeries, holm, shares
-from mast_zenoh.show.findings.of_study import compare, other_changes, reservations, result
+from mast_zenoh.show.findings.of_study import clearest_change, compare, other_changes, reservations
+from mast_zenoh.show.number_text import over_trials
 from mast_zenoh.show.tables import study
-from mast_zenoh.show.tables.study_rows import over_trials
 from mast_zenoh.show.tables.text_table import TextTable
 from mast_zenoh.study.statistics import trial_estimate
 
@@ -142,7 +142,7 @@ def words(rows: list[Row], idle: IdleAttack | None = None) -> list[str]:
     known = replace(facts(rows), idle=() if idle is None else (idle,))
     comparisons = compare(rows, "baseline")
     others = [f"  {each}" for each in other_changes(rows, known, comparisons)]
-    return [result(rows, known, comparisons), *others, *(f"  ! {each}" for each in reservations(rows, known))]
+    return [clearest_change(rows, known, comparisons), *others, *(f"  ! {each}" for each in reservations(rows, known))]
 
 
 def picture(**increments: Statistic) -> list[Row]:
@@ -204,7 +204,7 @@ def test_the_headline_never_denies_a_change_that_remains_after_holm() -> None:
             for k, of in enumerate(p_values)
         ]
         comparisons = compare([BASELINE, *rows], "baseline")
-        text = result([BASELINE, *rows], facts([BASELINE, *rows]), comparisons)
+        text = clearest_change([BASELINE, *rows], facts([BASELINE, *rows]), comparisons)
         assert ("distinguishably" in text) == (not comparisons.remaining())
         if comparisons.remaining():
             clearest = int(p_values.argmin())

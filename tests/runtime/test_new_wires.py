@@ -13,9 +13,9 @@ import mast_zenoh as mast
 from mast_zenoh.errors import WiringError
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.findings.adversaries import limits
+from mast_zenoh.show.number_text import DASH
 from mast_zenoh.show.tables.of_run import message_table
 from mast_zenoh.show.tables.scores import score_table
-from mast_zenoh.show.tables.text_table import DASH
 from mast_zenoh.study.numbers import numbers
 
 INTENTS = """

@@ -294,7 +294,7 @@ def rows(defended: bool) -> list[Row]:
 
 def test_the_table_of_a_study_has_the_defences_numbers_with_intervals() -> None:
     about = StudyFacts("made", "baseline", {}, (), (), None, "inproc", {}, (), {})
-    tables = {each.title: each for each in sections(rows(True), about, compare(rows(True), "baseline"))}
+    tables = {each.title: each for each in sections(rows(True), about, compare(rows(True), "baseline")).every}
     table = tables["What the defence did"]
     assert table.terminal
     lines = {line[0]: dict(zip(table.headings, line, strict=True)) for line in table.lines}

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.show.figures.style import LINE_STYLES, MARKERS, Figure, light_axes, plain
+from mast_zenoh.show.number_text import number
 from mast_zenoh.show.palette import INK, LOCAL, PALE, RUN_COLOURS
-from mast_zenoh.show.tables.text_table import number
 
 #: Share of the axis by which the points of neighbouring curves are moved apart, so that bars do not overlap.
 _APART = 0.012

@@ -17,8 +17,8 @@ from mast_zenoh.show.figures.drawing import RenderedFigure, render
 from mast_zenoh.show.figures.facets import Axis, colour_panel, facet
 from mast_zenoh.show.figures.style import Figure, plain
 from mast_zenoh.show.findings.words import of_study
+from mast_zenoh.show.number_text import over_trials
 from mast_zenoh.show.palette import INK
-from mast_zenoh.show.tables.study_rows import over_trials
 
 #: Two numeric parameters with this many values each make a heat map instead of curves.
 MIN_FOR_HEAT_MAP = 4

@@ -10,13 +10,12 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.metrics.estimates import RECEIVED
-from mast_zenoh.runs.interposers import hostile, interposers
+from mast_zenoh.runs.interposers import all_wires, hostile, interposers
 from mast_zenoh.runs.run import Run
 from mast_zenoh.scenario.timeline import acts_at
 from mast_zenoh.show.comparison import Reference
 from mast_zenoh.show.findings.changes import DISPLACED, MIN_CULPRIT_SHARE, Change, witnesses_of_withheld
 from mast_zenoh.show.findings.differences import attacking_nodes, other_differences
-from mast_zenoh.show.tables.wiring import all_wires
 from mast_zenoh.wiring.model import link_of
 
 #: More adversaries, links or faults than these are counted, not named.

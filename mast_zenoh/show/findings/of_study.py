@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from mast_zenoh.errors import plural
 from mast_zenoh.metrics.estimates import ESTIMATES, LOCAL, MISSION, PICTURE
@@ -13,16 +14,8 @@ from mast_zenoh.metrics.study_results import LEVEL, Row, Statistic, StudyFacts, 
 from mast_zenoh.run_folder.finding import Finding, sentence
 from mast_zenoh.show.findings.changes import DISPLACED, ERRORS, FALSE, IDENTITY, MISSED
 from mast_zenoh.show.findings.words import of_study
-from mast_zenoh.show.tables.study_rows import (
-    ADDED,
-    ALL_SCORES,
-    DRIVEN,
-    ESTIMATORS,
-    PAPER,
-    series_of,
-    unchanged,
-    value,
-)
+from mast_zenoh.show.number_text import value
+from mast_zenoh.show.study_columns import ADDED, ALL_SCORES, DRIVEN, ESTIMATORS, PAPER, series_of, unchanged
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +82,8 @@ _CHANGES = {
     "heading_error_deg_iob": ("headings", "heading"),
     "velocity_error_mps_iob": ("velocities", "velocity"),
 }
-_COUNTED = ("fp_iob", "fn_iob", "id_switches_iob")
+_WRONG = ("fp_iob", "fn_iob")
+_COUNTED = (*_WRONG, "id_switches_iob")
 #: The smallest change of other metrics that the headline reports, in their units.
 _LEAST = 0.01
 #: Estimates in order of priority: what the ego acts on comes first.
@@ -104,7 +98,41 @@ def titled(rows: Sequence[Row], facts: StudyFacts) -> tuple[list[Row], StudyFact
     return renamed, facts.titled({row.configuration: row.title for row in rows})
 
 
-def result(rows: Sequence[Row], facts: StudyFacts, comparisons: Comparisons) -> str:
+class Conclusions(NamedTuple):
+    """What a study says first, on the page, on the terminal and in other places.
+
+    headline: without a full stop;  reading: sentences below it
+    errors:   sentences on errors of estimates, where the other two are about something else; empty: they are about it
+    """
+
+    headline: str
+    reading: Sequence[str]
+    errors: Sequence[str] = ()
+
+
+def conclusions(
+    rows: Sequence[Row],
+    facts: StudyFacts,
+    comparisons: Comparisons,
+    own_headline: str = "",
+    own_reading: Sequence[str] = (),
+) -> Conclusions:
+    """What a study says first.
+
+    own_headline, own_reading: what a kind of study says of its own measures, such as what happened to driven cars; it
+                               comes before errors of estimates. Empty: nothing
+    """
+    result, others = clearest_change(rows, facts, comparisons), other_changes(rows, facts, comparisons)
+    if not own_headline:
+        return Conclusions(result.removesuffix("."), own_reading or others, others if own_reading else ())
+    if own_reading:
+        return Conclusions(own_headline, own_reading, [result, *others])
+    # That no error changes clearly is no news where the study's own measure does.
+    told = not facts.idle and _nothing_changes(_attacked(rows, facts), comparisons)
+    return Conclusions(own_headline, others if told else [result, *others])
+
+
+def clearest_change(rows: Sequence[Row], facts: StudyFacts, comparisons: Comparisons) -> str:
     """The clearest change in a sentence, after one for each attack that never began."""
     idle = [text for each in facts.idle for text in of_study("never_began", idle=each)]
     attacked = _attacked(rows, facts)
@@ -117,12 +145,16 @@ def _attacked(rows: Sequence[Row], facts: StudyFacts) -> list[Row]:
     return [row for row in rows if row.configuration not in known]
 
 
-NO_CHANGE = "No configuration changes false or missed objects in any estimate of the ego"
+def _nothing_changes(attacked: Sequence[Row], comparisons: Comparisons) -> bool:
+    """Whether no estimate of the ego has false or missed objects more or fewer, as far as this is known."""
+    known = _estimates_of(attacked, *_WRONG)
+    changed = any(not each.is_zero for each in known)
+    return bool(known) and _headline(attacked, comparisons) is None and (bool(comparisons.count) or not changed)
 
 
 def _result(rows: Sequence[Row], attacked: Sequence[Row], comparisons: Comparisons) -> str:
     headline = _headline(attacked, comparisons)
-    changes = _changes(attacked, ("fp_iob", "fn_iob"))
+    changes = _changes(attacked, _WRONG)
     largest = _largest([(row, series) for row, series in changes if not row.get(series).is_zero])
     return of_study(
         "result",
@@ -132,8 +164,7 @@ def _result(rows: Sequence[Row], attacked: Sequence[Row], comparisons: Compariso
         largest=largest and _sentence(largest),
         compared=largest and _compared(largest),
         rare=largest and largest[0].get(largest[1]).mostly_zero,
-        known=changes,
-        same=NO_CHANGE,
+        unchanged=_nothing_changes(attacked, comparisons),
         made=comparisons,
     )[0]
 
@@ -189,9 +220,9 @@ def _changes(rows: Sequence[Row], metrics: Sequence[str]) -> list[_Change]:
     return [(row, series) for row, series in every if row.get(series).known]
 
 
-def _estimates_of(rows: Sequence[Row], metric: str) -> list[Statistic]:
-    """All known estimates of a metric."""
-    return [row.get(series) for row, series in _changes(rows, (metric,))]
+def _estimates_of(rows: Sequence[Row], *metrics: str) -> list[Statistic]:
+    """All known estimates of metrics."""
+    return [row.get(series) for row, series in _changes(rows, metrics)]
 
 
 def _largest(changes: Sequence[_Change]) -> _Change | None:

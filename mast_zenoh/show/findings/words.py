@@ -10,7 +10,7 @@ from typing import Any
 from mast_zenoh.metrics.estimates import PICTURE, place_of
 from mast_zenoh.run_folder.finding import Finding, macros, sentence
 from mast_zenoh.runs.run import Run
-from mast_zenoh.show.tables import study_rows, text_table
+from mast_zenoh.show import number_text
 
 
 def said(run: Run, findings: Iterable[Finding], *, capitals: bool = True) -> list[str]:
@@ -69,10 +69,10 @@ def paragraph(phrase: str, **data: Any) -> str:
 
 #: Filters of study_phrases.j2, besides those of phrases.j2.
 _OF_STUDIES: dict[str, Callable[..., str]] = {
-    "number": text_table.number,
-    "measured": text_table.measured,
-    "percent": text_table.percent,
-    "over_trials": study_rows.over_trials,
-    "value": study_rows.value,
-    "bounds": study_rows.bounds,
+    "number": number_text.number,
+    "measured": number_text.measured,
+    "percent": number_text.percent,
+    "over_trials": number_text.over_trials,
+    "value": number_text.value,
+    "interval": number_text.interval,
 }

@@ -12,8 +12,9 @@ from mast_zenoh.runs.events import doubts, suspensions
 from mast_zenoh.runs.interposers import hostile
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.findings.causes import reaches
+from mast_zenoh.show.number_text import DASH, number
 from mast_zenoh.show.tables.scores import score_of
-from mast_zenoh.show.tables.text_table import DASH, TextTable, number
+from mast_zenoh.show.tables.text_table import TextTable
 from mast_zenoh.tracking.base import OVERCONFIDENT
 
 ALL = "all"

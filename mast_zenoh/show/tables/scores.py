@@ -19,7 +19,8 @@ from mast_zenoh.metrics.estimates import (
 )
 from mast_zenoh.metrics.measures import MEASURES, SUMMARY_NAMES, Quantity, metric_named, own_metrics
 from mast_zenoh.runs.run import Run
-from mast_zenoh.show.tables.text_table import DASH, TextTable
+from mast_zenoh.show.number_text import DASH
+from mast_zenoh.show.tables.text_table import TextTable
 
 #: In the place of an estimate, the increment of the picture over the ego alone (IoE).
 OVER_ALONE = "picture over\nego alone"

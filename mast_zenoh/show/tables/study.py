@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 from rich.console import Group
 from rich.text import Text
@@ -15,13 +16,13 @@ from mast_zenoh.show.findings.of_study import (
     Comparisons,
     compare,
     comparisons_made,
-    other_changes,
+    conclusions,
     reservations,
-    result,
     titled,
 )
 from mast_zenoh.show.findings.words import paragraph
-from mast_zenoh.show.tables.study_rows import (
+from mast_zenoh.show.number_text import DASH, digits, interval, number, over_frames, over_trials, value
+from mast_zenoh.show.study_columns import (
     ACHIEVED,
     ADDED,
     ALL_SCORES,
@@ -33,22 +34,31 @@ from mast_zenoh.show.tables.study_rows import (
     SCORES,
     Groups,
     attacks_differ,
-    bounds,
-    over_frames,
-    over_trials,
     present,
     series_of,
     unchanged,
-    value,
 )
-from mast_zenoh.show.tables.text_table import DASH, ResultTables, TextTable, csv_text, digits, number, wrapped
+from mast_zenoh.show.tables.text_table import ResultTables, TextTable, csv_text, wrapped
 
 _ALL = "all"
 _WRONG = {"fp": "false objects", "fn": "missed objects"}
 _PAIRED = "Difference from the baseline of the same scene and seed; mean and 95 % interval over seeds of these scenes."
 
 
-def sections(rows: Sequence[Row], facts: StudyFacts, comparisons: Comparisons) -> list[TextTable]:
+class Sections(NamedTuple):
+    """The non-empty tables of a study: what is added to the baseline, the scores of each estimate, and all others."""
+
+    added: list[TextTable]
+    scores: list[TextTable]
+    others: list[TextTable]
+
+    @property
+    def every(self) -> list[TextTable]:
+        """All of them, one after the other."""
+        return [*self.added, *self.scores, *self.others]
+
+
+def sections(rows: Sequence[Row], facts: StudyFacts, comparisons: Comparisons) -> Sections:
     """All non-empty tables of a study."""
     attacked = [row for row in rows if row.configuration != facts.baseline]
     title = difference_title(rows, facts.baseline)
@@ -56,22 +66,24 @@ def sections(rows: Sequence[Row], facts: StudyFacts, comparisons: Comparisons) -
         [row for row in rows if any(series.estimator in names for series in row.numbers)]
         for names in (("defence",), ("pictures", "channel"))
     )
-    tables = [_paper(title, attacked, comparisons), *_added(title, attacked, comparisons)]
-    tables += [
+    added = [_paper(title, attacked, comparisons), *_added(title, attacked, comparisons)]
+    added += [
         _table(
             f"{title}, to other scenes: {group[0]}", _TO_OTHER_SCENES, (group,), attacked, _to_scenes, terminal=False
         )
         for group in ADDED
         if any(not math.isnan(row.get(series).scenes_low) for row in attacked for series in group[1].values())
     ]
-    tables += [_table(f"Scores: {group[0]}", _SCORED, (group,), rows, _cell_of, brief=True) for group in ALL_SCORES]
-    tables += [*_achieved(attacked), _table("What the defence did", paragraph("defended"), DEFENCE, defended, _cell_of)]
-    tables += [
+    scores = [_table(f"Scores: {group[0]}", _SCORED, (group,), rows, _cell_of, brief=True) for group in ALL_SCORES]
+    others = [*_achieved(attacked), _table("What the defence did", paragraph("defended"), DEFENCE, defended, _cell_of)]
+    others += [
         _table("Pictures and radio channel", paragraph("pictures_and_channel"), COOPERATION, apart, _cell_of),
         _others(rows, facts.units),
     ]
-    tables += [_causes(rows, estimator, outcome) for estimator in ("picture", "mission") for outcome in _WRONG]
-    return [table for table in tables if table.lines and len(table.headings) > 1]
+    others += [_causes(rows, estimator, outcome) for estimator in ("picture", "mission") for outcome in _WRONG]
+    return Sections(
+        *([each for each in tables if each.lines and len(each.headings) > 1] for tables in (added, scores, others))
+    )
 
 
 _TO_OTHER_SCENES = "The same means, with the 95 % interval to other scenes drawn like these, and other seeds."
@@ -95,7 +107,7 @@ def _paper(title: str, rows: Sequence[Row], comparisons: Comparisons) -> TextTab
     def cell(row: Row, series: StudySeries) -> str:
         estimate = row.get(series)
         same = number(estimate.value) in (number(estimate.mean), DASH)
-        below = bounds(estimate) if same else over_trials(estimate)
+        below = interval(estimate) if same else over_trials(estimate)
         return _cell(over_frames(estimate), below, marked=comparisons.remains(row, series))
 
     return _table(f"{title}, in the paper's columns", caption, PAPER, rows, cell)
@@ -171,7 +183,7 @@ def _causes(rows: Sequence[Row], estimator: str, outcome: str) -> TextTable:
 
 
 def _over_trials(estimate: Statistic, *, marked: bool = False) -> str:
-    return _cell(value(estimate), bounds(estimate), marked=marked)
+    return _cell(value(estimate), interval(estimate), marked=marked)
 
 
 def _cell_of(row: Row, series: StudySeries) -> str:
@@ -180,7 +192,7 @@ def _cell_of(row: Row, series: StudySeries) -> str:
 
 def _to_scenes(row: Row, series: StudySeries) -> str:
     """With the interval to other scenes."""
-    return _cell(value(row.get(series)), bounds(row.get(series), scenes=True))
+    return _cell(value(row.get(series)), interval(row.get(series), scenes=True))
 
 
 def _cell(text: str, below: str, *, marked: bool = False) -> str:
@@ -220,7 +232,7 @@ def as_rich(rows: Sequence[Row], facts: StudyFacts) -> Group:
     titled_rows, titled_facts = titled(rows, facts)
     sentences = _sentences(titled_rows, titled_facts, compare(titled_rows, titled_facts.baseline))
     parts += [_wrapped(sentence) for sentence in (*sentences, *_labels(rows))]
-    for table in sections(rows, facts, comparisons):
+    for table in sections(rows, facts, comparisons).every:
         if table.terminal:
             brief = table._replace(title=f"{table.title}, mean", about="") if table.brief else table
             parts += [Text(""), brief.as_rich()]
@@ -235,8 +247,8 @@ def _labels(rows: Sequence[Row]) -> list[str]:
 
 def _sentences(rows: Sequence[Row], facts: StudyFacts, comparisons: Comparisons) -> list[str]:
     """The result in words, a paragraph each."""
-    first = [f"{facts.size}.", result(rows, facts, comparisons), *other_changes(rows, facts, comparisons)]
-    return [" ".join(first), *reservations(rows, facts)]
+    headline, reading, _ = conclusions(rows, facts, comparisons)
+    return [" ".join([f"{facts.size}.", f"{headline}.", *reading]), *reservations(rows, facts)]
 
 
 def _wrapped(text: str, style: str = "") -> Text:
@@ -252,7 +264,7 @@ def as_markdown(rows: Sequence[Row], facts: StudyFacts) -> str:
         cells = [[f.configuration, f.scene, str(f.seed), f.error, f"`{f.command}`"] for f in facts.failed]
         failed = TextTable("", "", ["", "scene", "seed", "error", "run it alone"], cells, 5)
         sentences = [f"## {facts.failures}", failed.markdown(), *sentences]
-    tables = sections(rows, facts, comparisons)
+    tables = sections(rows, facts, comparisons).every
     return ResultTables(facts.name, "\n\n".join(sentences), facts.size, tables, ((), ()), []).as_markdown()
 
 

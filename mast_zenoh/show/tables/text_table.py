@@ -1,4 +1,4 @@
-"""Tables of text, as Markdown, LaTeX and for the terminal, and the text of numbers with their intervals."""
+"""Tables of text, as Markdown, LaTeX and for the terminal."""
 
 from __future__ import annotations
 
@@ -16,14 +16,10 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from mast_zenoh.metrics.study_results import MIN_SEEDS, MOSTLY_ZERO, Row, Statistic
-from mast_zenoh.run_folder.finding import whole_percent
-
-#: Placeholder for an unknown number.
-DASH = "\u2013"
+from mast_zenoh.metrics.study_results import Row, Statistic
+from mast_zenoh.show.number_text import DASH, digits, measured
 
 _TERMINAL = 80  # columns
-_NOT_REACHED = "not reached"
 
 
 class Head(NamedTuple):
@@ -260,53 +256,6 @@ def wrapped(sentences: str) -> str:
     return "\n".join(textwrap.wrap(sentences, _TERMINAL))
 
 
-def number(value: float | None, digits: int = 2) -> str:
-    """A number with `digits` decimals, a proper minus sign and no negative zero; a dash for what is not known."""
-    if value is None or math.isnan(value):
-        return DASH
-    text = f"{value:.{digits}f}"
-    return text.replace("-", "" if float(text) == 0.0 else "\u2212")
-
-
-def whole(each: Statistic) -> str:
-    """A number that is whole."""
-    return number(each.value, 0)
-
-
-def digits(*values: float) -> list[str]:
-    """All digits of numbers; `inf` is not reached, empty is unknown."""
-    return ["" if math.isnan(value) else repr(float(value)) for value in values]
-
-
-def measured(each: Statistic, decimals: int = 2) -> str:
-    """A number with its interval, `3.42 [3.10, 3.80]`; else `3.42 (all equal)`, `(mostly 0)`; `3.42` of few trials.
-
-    Infinite: `not reached [1.20, \u221e)`, or `not reached` if the interval is beyond what was watched, too.
-    """
-    if math.isnan(each.value):
-        return DASH
-    if math.isinf(each.value):
-        return _not_reached(each)
-    if math.isnan(each.low):
-        why = "mostly 0" if each.interval == MOSTLY_ZERO else "all equal"
-        return number(each.value, decimals) + (f" ({why})" if each.trials >= MIN_SEEDS else "")
-    decimals = decimals_of(each, decimals)
-    low = number(each.low, decimals)
-    interval = f"[{low}, \u221e)" if math.isinf(each.high) else f"[{low}, {number(each.high, decimals)}]"
-    return f"{number(each.value, decimals)} {interval}"
-
-
-def decimals_of(each: Statistic, least: int = 2) -> int:
-    """So many decimals that the interval of a number has a width."""
-    half = (each.high - each.low) / 2.0
-    return min(5, max(least, math.ceil(-math.log10(half)))) if 0.0 < half < 0.01 else least
-
-
-def median_delay(each: Statistic) -> str:
-    """A median delay; if fewer than half were detected, only its lower bound is known."""
-    return _not_reached(each) if math.isnan(each.value) and each.trials else measured(each)
-
-
 def bounds(each: Statistic) -> list[str]:
     """A number in a CSV file, see BOUNDS."""
     tested = digits(each.p, each.zero_share, each.zero_low, each.zero_high)
@@ -374,20 +323,6 @@ BOUNDS = (
     *("value", "low", "high", "interval", "p", "zero_share", "zero_low", "zero_high"),
     *("trials", "trials_left_out"),
 )
-#: Below tables whose numbers have too few trials for intervals.
-FEW_TRIALS = f"Numbers without brackets are of fewer than {MIN_SEEDS} trials, so without an interval."
-
-
-def percent(share: Statistic, unit: str = "", beyond: str = "") -> str:
-    """`44 [38, 47]`, in per cent; unit: after the value;  beyond: what stands for an infinite number."""
-    if not share.known:
-        return DASH
-    value, low, high = (beyond if math.isinf(each) else whole_percent(each) for each in share[:3])
-    return f"{value}{unit}" if math.isnan(share.low) else f"{value}{unit} [{low}, {high}]"
-
-
-def _not_reached(each: Statistic) -> str:
-    return f"{_NOT_REACHED} [{number(each.low)}, \u221e)" if math.isfinite(each.low) else _NOT_REACHED
 
 
 def _tex(text: str) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from mast_zenoh.runs.interposers import interposers
+from mast_zenoh.runs.interposers import all_wires, interposers
 from mast_zenoh.runs.run import Run
 
 #: The receivers of what a peer sends to all others, drawn as one node.
@@ -81,31 +81,6 @@ def _before(wire: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
         if leg.get("before"):
             subscribers[leg["from"]] = (*subscribers.get(leg["from"], ()), leg["before"])
     return subscribers
-
-
-def all_wires(run: Run) -> list[dict[str, Any]]:
-    """The final wires of wiring.json, with interposers that were removed earlier."""
-    wires = {wire["key"]: wire for wire in run.files.wiring.get("wires", [])}
-    for each in interposers(run):
-        for key in each.wires if each.live is not None else ():
-            wire = wires.get(key)
-            if wire is not None and each.name not in wire.get("interposers", ()):
-                wires[key] = _with_interposer(wire, each.name, each.before[0] if each.before else "")
-    return list(wires.values())
-
-
-def _with_interposer(wire: dict[str, Any], node: str, before: str) -> dict[str, Any]:
-    """A wire with another interposer at the end of its trunk, or of the branch of the subscriber `before`.
-
-    Its key is not known.
-    """
-    legs = list(wire.get("legs", ()))
-    ends = [i for i, leg in enumerate(legs) if (leg.get("before") == before if before else leg["key"] == wire["key"])]
-    index = ends[-1] if ends else None
-    if index is not None:
-        last = legs[index]
-        legs[index : index + 1] = [{**last, "key": "", "to": [node]}, {**last, "from": node}]
-    return {**wire, "legs": legs, "interposers": [*wire.get("interposers", ()), node]}
 
 
 def live_frames(run: Run) -> dict[str, str]:

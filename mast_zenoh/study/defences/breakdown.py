@@ -17,14 +17,8 @@ from mast_zenoh.metrics import Table
 from mast_zenoh.metrics.study_results import Row, Statistic
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.show.findings.words import paragraph
-from mast_zenoh.show.tables.text_table import (
-    ResultTables,
-    number,
-    numbers_of_rows,
-    percent,
-    shown,
-    table_of_rows,
-)
+from mast_zenoh.show.number_text import number, percent
+from mast_zenoh.show.tables.text_table import ResultTables, numbers_of_rows, shown, table_of_rows
 from mast_zenoh.study.choices import honest_majority
 from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.numbers import ego, scored_frames

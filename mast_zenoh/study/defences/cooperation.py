@@ -19,16 +19,8 @@ from mast_zenoh.metrics.study_results import NAN, Row, Statistic, clearest
 from mast_zenoh.run_folder.finding import whole_percent
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.show.findings.words import of_study, paragraph
-from mast_zenoh.show.tables.text_table import (
-    DASH,
-    ResultTables,
-    measured,
-    number,
-    numbers_of_rows,
-    percent,
-    shown,
-    table_of_rows,
-)
+from mast_zenoh.show.number_text import DASH, measured, number, percent
+from mast_zenoh.show.tables.text_table import ResultTables, numbers_of_rows, shown, table_of_rows
 from mast_zenoh.study.defences.kinds import Factors, Kind, few_trials
 from mast_zenoh.study.numbers import ego, scored_frames
 from mast_zenoh.study.trial import TrialOutcome

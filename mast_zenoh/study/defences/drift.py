@@ -29,15 +29,8 @@ from numpy.typing import ArrayLike, NDArray
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.study_results import NAN, Row, Statistic
 from mast_zenoh.show.findings.words import paragraph
-from mast_zenoh.show.tables.text_table import (
-    ResultTables,
-    number,
-    numbers_of_rows,
-    percent,
-    shown,
-    table_of_rows,
-    whole,
-)
+from mast_zenoh.show.number_text import number, percent, whole
+from mast_zenoh.show.tables.text_table import ResultTables, numbers_of_rows, shown, table_of_rows
 from mast_zenoh.study.defences.kinds import Factors, Kind, few_trials
 from mast_zenoh.study.statistics import kaplan_meier, pooled, share_of_trials
 from mast_zenoh.study.trial import TrialOutcome

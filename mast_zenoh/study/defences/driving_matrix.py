@@ -19,14 +19,8 @@ from mast_zenoh.errors import plural
 from mast_zenoh.metrics.estimates import MISSION
 from mast_zenoh.metrics.study_results import NEGLIGIBLE, Row, Statistic, clearest
 from mast_zenoh.show.findings.words import of_study, paragraph
-from mast_zenoh.show.tables.study_rows import over_trials
-from mast_zenoh.show.tables.text_table import (
-    ResultTables,
-    number,
-    numbers_of_rows,
-    shown,
-    table_of_rows,
-)
+from mast_zenoh.show.number_text import number, over_trials
+from mast_zenoh.show.tables.text_table import ResultTables, numbers_of_rows, shown, table_of_rows
 from mast_zenoh.study import statistics
 from mast_zenoh.study.defences.kinds import Factors, Kind
 from mast_zenoh.study.numbers import own_metrics

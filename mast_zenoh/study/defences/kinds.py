@@ -32,7 +32,8 @@ from mast_zenoh.errors import (
 )
 from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Statistic, size_of
 from mast_zenoh.run_folder import write_bytes
-from mast_zenoh.show.tables.text_table import FEW_TRIALS, ResultTables
+from mast_zenoh.show.number_text import FEW_TRIALS
+from mast_zenoh.show.tables.text_table import ResultTables
 from mast_zenoh.study import statistics
 from mast_zenoh.study.trial import TrialKey, TrialOutcome
 

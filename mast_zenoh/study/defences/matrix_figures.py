@@ -15,8 +15,8 @@ from mast_zenoh.show.figures.facets import Axis, HeatMap, facet, heat_facet, mar
 from mast_zenoh.show.figures.plots import trust_figure
 from mast_zenoh.show.figures.style import LINE_STYLES, Figure, light_axes, plain
 from mast_zenoh.show.findings.words import paragraph
+from mast_zenoh.show.number_text import number
 from mast_zenoh.show.palette import INK, LOCAL, RUN_COLOURS
-from mast_zenoh.show.tables.text_table import number
 from mast_zenoh.study.defences.matrix_table import MatrixTable
 
 

@@ -9,19 +9,8 @@ from dataclasses import replace
 from mast_zenoh.errors import plural
 from mast_zenoh.metrics.study_results import Row, Statistic, clearest
 from mast_zenoh.show.findings.words import paragraph
-from mast_zenoh.show.tables.text_table import (
-    DASH,
-    ResultTables,
-    TextTable,
-    measured,
-    median_delay,
-    number,
-    numbers_of_rows,
-    percent,
-    shown,
-    table_of_rows,
-    whole,
-)
+from mast_zenoh.show.number_text import DASH, measured, median_delay, number, percent, whole
+from mast_zenoh.show.tables.text_table import ResultTables, TextTable, numbers_of_rows, shown, table_of_rows
 from mast_zenoh.study.defences.kinds import few_trials
 from mast_zenoh.study.defences.matrix_table import DEFENCE_MEASURES, MatrixTable
 from mast_zenoh.study.defences.scoreboard import QUANTITIES, scoreboard_tables

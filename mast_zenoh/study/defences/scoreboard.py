@@ -22,16 +22,8 @@ import msgspec
 from mast_zenoh.metrics.study_results import LEVEL, MIN_SEEDS, NAN, Row, Statistic, holm
 from mast_zenoh.run_folder import finding
 from mast_zenoh.show.findings.words import of_study, paragraph
-from mast_zenoh.show.tables.text_table import (
-    DASH,
-    ResultTables,
-    TextTable,
-    measured,
-    median_delay,
-    numbers_of_rows,
-    shown,
-    table_of_rows,
-)
+from mast_zenoh.show.number_text import DASH, measured, median_delay
+from mast_zenoh.show.tables.text_table import ResultTables, TextTable, numbers_of_rows, shown, table_of_rows
 from mast_zenoh.study.defences.matrix_table import MatrixTable, Published
 
 SCOREBOARD = "Scoreboard"

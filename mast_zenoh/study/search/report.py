@@ -25,19 +25,10 @@ from mast_zenoh.show.figures.drawing import RenderedFigure, render
 from mast_zenoh.show.figures.facets import curve
 from mast_zenoh.show.figures.style import LINE_STYLES, Figure, light_axes, plain
 from mast_zenoh.show.findings.words import of_study, paragraph
+from mast_zenoh.show.number_text import DASH, digits, number, over_trials
 from mast_zenoh.show.palette import INK, LOCAL, RUN_COLOURS
-from mast_zenoh.show.tables.study_rows import MOSTLY_ZERO_NOTE, over_trials
-from mast_zenoh.show.tables.text_table import (
-    DASH,
-    ResultTables,
-    TextTable,
-    csv_text,
-    digits,
-    number,
-    numbers_of_rows,
-    shown,
-    table_of_rows,
-)
+from mast_zenoh.show.study_columns import MOSTLY_ZERO_NOTE
+from mast_zenoh.show.tables.text_table import ResultTables, TextTable, csv_text, numbers_of_rows, shown, table_of_rows
 from mast_zenoh.study.defences.kinds import StudyFiles, write_files
 from mast_zenoh.study.search.plan import SEARCHED, as_text
 from mast_zenoh.study.search.results import ESTIMATES, SearchResults

@@ -1,4 +1,4 @@
-"""Data of a study's tables: a row per configuration, an estimate per series."""
+"""The measures of a study that tables compare and sentences name, by heading."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from mast_zenoh.metrics.estimates import ESTIMATES, MAIN
 from mast_zenoh.metrics.measures import MEASURES
-from mast_zenoh.metrics.study_results import MIN_SEEDS, Row, Statistic, StudySeries
-from mast_zenoh.run_folder.finding import whole_percent
-from mast_zenoh.show.tables.text_table import DASH, decimals_of, number
+from mast_zenoh.metrics.study_results import Row, StudySeries
 
 #: The warning of a table with such an increment.
 MOSTLY_ZERO_NOTE = (
@@ -118,40 +116,3 @@ def present(rows: Sequence[Row], groups: Groups) -> Groups:
         for group in groups
         if any(not math.isnan(row.get(series).mean) for row in rows for series in series_of((group,)))
     )
-
-
-def over_frames(estimate: Statistic) -> str:
-    """`3.42 ± 1.20`."""
-    if math.isnan(estimate.mean):
-        return DASH
-    mean = number(estimate.mean)
-    return mean if math.isnan(estimate.std) else f"{mean} ± {number(estimate.std)}"
-
-
-def over_trials(estimate: Statistic) -> str:
-    """Mean and interval: `3.42 [3.10, 3.80]`, or the reason for none: `3.42 (n < 5)`.
-
-    Success rates are in per cent.
-    """
-    return f"{value(estimate)} {bounds(estimate)}".strip()
-
-
-def value(estimate: Statistic) -> str:
-    """The mean over trials alone: `3.42`, a success rate as `85 %`."""
-    mean = estimate.value
-    return f"{whole_percent(mean)} %" if estimate.rate and not math.isnan(mean) else number(mean, decimals_of(estimate))
-
-
-def bounds(estimate: Statistic, *, scenes: bool = False) -> str:
-    """`[3.10, 3.80]`, or why there is no interval; scenes: that to other scenes."""
-    low, high = (estimate.scenes_low, estimate.scenes_high) if scenes else (estimate.low, estimate.high)
-    if not math.isnan(low):
-        digits = decimals_of(estimate)
-        ends = (whole_percent(end) if estimate.rate else number(end, digits) for end in (low, high))
-        return f"[{', '.join(ends)}]"
-    if scenes or math.isnan(estimate.value):
-        return ""
-    if estimate.mostly_zero:
-        share, first, last = map(whole_percent, (estimate.zero_share, estimate.zero_low, estimate.zero_high))
-        return f"(0 in {share} % [{first}, {last}])"
-    return f"(n < {MIN_SEEDS})" if estimate.seeds < MIN_SEEDS else "(all equal)"
