@@ -6,8 +6,8 @@ condition (negated).
     python tools/mutations.py [ROOM ...] [--count 80] [--seed 0] [--tests CHECKOUT] [--jobs 1]
 
 A room is a folder of mast_zenoh/, by default those of ROOMS. For each change the quick tests of the room run, in a
-copy of the checkout: tests/ROOM, and what BESIDE says. `--tests` takes the tests of another checkout: so two suites
-can be compared on the same code.
+copy of the checkout: tests/ROOM, tests/kernels, and what BESIDE says. `--tests` takes the tests of another checkout:
+so two suites can be compared on the same code.
 """
 
 from __future__ import annotations
@@ -28,8 +28,13 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("fusion", "tracking", "attacks", "wiring", "mesh", "messages", "evaluation", "integrity")
-#: Tests of a room that are in other folders.
-BESIDE = {"mesh": ("simulation", "runtime", "control"), "evaluation": ("nodes/test_evaluator.py", "effects")}
+#: Tests of a room that are in other folders; those of compiled functions, which compare them with the code, are of all.
+BESIDE = {
+    "mesh": ("simulation", "runtime", "control"),
+    "evaluation": ("nodes/test_evaluator.py", "effects"),
+    "fusion": ("pipelines",),
+    "messages": ("runtime/test_row_limits.py", "runtime/test_limits.py"),
+}
 #: s that the tests of a room may take; a change with which they take longer is noticed by that.
 DEADLINE_S = 900
 
@@ -129,7 +134,7 @@ def are_red(room: str, mutation: Mutation | None, tests: Path, work: Path) -> bo
         shutil.copytree(tests / "tests", tree / "tests", ignore=ignored)
     if mutation is not None:
         mutation.apply(tree)
-    folders = [f"tests/{each}" for each in (room, *BESIDE.get(room, ()))]
+    folders = [f"tests/{each}" for each in (room, *BESIDE.get(room, ()), "kernels")]
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not heavy", "-p", "no:cacheprovider", *folders]
     path = os.pathsep.join(map(str, [tree, *(tree / "plugins").glob("*")]))
     try:

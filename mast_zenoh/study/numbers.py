@@ -270,7 +270,8 @@ def columns(trial: Trial, trial_numbers: Sequence[Number]) -> Table:
     configuration: label; a column for each parameter of a grid, and for each factor, follows it
     scene, seed: of the trial
     who: agent, car or adversary; `all`, or `compromised` for all compromised agents together
-    estimator: an estimate, or `achieved`, `driven`, `defence`, `pictures`, `channel`, or the name of a kind of study
+    estimator: an estimate, or `achieved`, `driven`, `messages`, `defence`, `pictures`, `channel`, or the name of a
+               kind of study
     metric: name of a number of metrics.json; nested names are joined with dots, as in fp_split.attack
     value: mean over frames, or of the run
     std: over frames; missing for numbers of a whole run

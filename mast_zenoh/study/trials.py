@@ -21,7 +21,7 @@ from rich.progress import (
 from mast_zenoh import kernels, scenario, scenes
 from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import ConfigurationError, MastError
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.scenario.timeline import attack_starts
 from mast_zenoh.study import execution, tables
@@ -165,8 +165,11 @@ def plan(study: Study, *, count: int, allow_failures: bool = False) -> list[Tria
         for configuration in study.configurations:
             common = (*study_scene.settings, *configuration.settings)
             settings = (*common, *study.trial_settings(seed, frames))
-            path, loaded = scenario.load(configuration.scenario, settings)
-            resolved = scenario.resolve(path, loaded, seed=seed, frames=frames)
+            try:
+                path, loaded = scenario.load(configuration.scenario, settings)
+                resolved = scenario.resolve(path, loaded, seed=seed, frames=frames)
+            except MastError as error:
+                raise type(error)(f"{study.path}: {configuration.label}: {error}") from None
             scene = registry.build(resolved.scene, scenes.Scene, f"{path}: scene")
             if study.kind and not study.has_own_kind:
                 refuse_calibration_data(range(seed, seed + count), resolved.scene, str(study.path))

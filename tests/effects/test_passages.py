@@ -8,8 +8,10 @@ import pytest
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.errors import MessageError
 from mast_zenoh.evaluation.effects.passages import KNOWN_FRAMES, LATEST, REMEMBERED, FrameSpan, PassageMeter
+from mast_zenoh.evaluation.effects.rows import ChangedMessage, changed_objects
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Header, Message, text
+from mast_zenoh.metrics.causes import KINDS
 from mast_zenoh.wiring.model import Input, InterposedWire
 from mast_zenoh.wiring.received import Overheard
 
@@ -68,6 +70,15 @@ def test_a_forged_message_before_the_original_changes_differing_objects() -> Non
     metered.close(100)
     assert effects(metered) == {"dropped": 5, "forged": 5}
     assert changed(metered) == 5, "two of three objects are unchanged"
+
+
+def test_each_changed_object_is_of_its_own_message() -> None:
+    whole, moved = tracks(1).body, tracks(1, x=3.0).body
+    less = {name: values if name in WORLD else values[1:] for name, values in whole.items()}
+    pairs = ((whole, less), (less, whole), (whole, moved))
+    found, _ = changed_objects("tracks", [ChangedMessage(7 + at, at, 9, *pair) for at, pair in enumerate(pairs)])
+    by_frame = {frame: KINDS[effect] for frame, effect in zip(found.frame, found.effect, strict=True)}
+    assert by_frame == {7: "removed", 8: "inserted", 9: "moved"}
 
 
 @pytest.mark.parametrize("passed_on", [True, False])

@@ -98,6 +98,13 @@ def test_a_long_message_is_never_unpacked(schema: str, monkeypatch: pytest.Monke
             codec.decode(payload + b"\0", schema, limits)
 
 
+def test_a_message_in_any_order_is_unpacked_if_all_its_rows_are_looked_at() -> None:
+    limits, longest = RowLimits({"tracks": 200}), len(codec.encode(message(flood(50 * 200))))
+    limits.check_length("tracks", longest)
+    with pytest.raises(MessageError, match="rows"):
+        limits.check_length("tracks", longest * 5 // 4)
+
+
 def chosen(sent: Message, choice: RowChoice, limits: RowLimits) -> list[Any]:
     """Ids, or the error, of a message with and without encoding, by a receiver with a choice of rows."""
     results: list[Any] = []

@@ -62,9 +62,9 @@ def facet(
     """Curves of rows in a panel for each measure, or for each value of a name. Raises ConfigurationError.
 
     x, hue, by: names of what rows are of: a number or a text, along the axis; what curves differ by, and panels
-    y: the measures; one if there is `by`;  columns: of panels, 0: one line;  label: of x
+    y: the measures; one if there is `by`;  columns: of panels, 0: one line;  label: of x, "": its name
     size: inches of a panel;  log: whether x is on a logarithmic axis
-    into: what it is drawn into, None: a new figure;  title: above the names of curves
+    into: what it is drawn into, None: a new figure;  title: above the names of curves, "": `hue` if they are numbers
     Texts of x are on lines below each other, and their numbers along the other axis.
     """
     _check_arguments(rows, y, {"x": x, "hue": hue} | ({"by": by} if by else {}))
@@ -108,9 +108,9 @@ def facet(
         axes.set_visible(False)
     if across:
         grid[0].set_yticks(range(len(ticks)), labels=[plain(tick) for tick in ticks])
-    elif label:
-        figure.supxlabel(label, fontsize=_SIZE, color=INK)
-    legend_above(figure, title=title)
+    else:
+        figure.supxlabel(label or x, fontsize=_SIZE, color=INK)
+    legend_above(figure, title=title or (hue if hues and not any(isinstance(each, str) for each in hues) else ""))
     return figure
 
 
