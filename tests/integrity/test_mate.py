@@ -26,6 +26,15 @@ def test_an_object_that_several_agents_do_not_report_is_withheld() -> None:
     assert assessment.agents.mean[0] < 0.2 < 0.5 < assessment.agents.mean[1:].min()
 
 
+def test_an_object_that_only_one_agent_could_see_is_neither_trusted_nor_doubted() -> None:
+    mate = Mate()
+    trust = {
+        mate.assess(batch([("a", 0, (0.0, 0.0))], ("a",), {"a": VIEWS["a"]}, frame=frame)).objects.trust[0]
+        for frame in range(15)
+    }
+    assert trust == {0.5}
+
+
 class ByHand:
     """The formulas of the original, one piece of evidence after the other, for objects and agents by name."""
 
