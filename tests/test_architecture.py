@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "explanation-architecture.md").read_text()
 PATHS = {
     "One detection, from the simulator to the picture": 12,
-    "One metric, from the evaluator to the page": 7,
+    "One metric, from the evaluator to the page": 6,
 }
 #: Between two functions: a message crosses the mesh, waits in a queue, is written to the run folder, or is asked for by
 #: the next function.
