@@ -23,6 +23,7 @@ app = typer.Typer(
     help="mast-zenoh: attack, break and defend collaborative sensor fusion on a Zenoh mesh.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
 )
 app.add_typer(deploy.app, name="deploy")
 app.add_typer(scenarios.app, name="scene")

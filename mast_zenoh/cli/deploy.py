@@ -8,13 +8,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
 from mast_zenoh.cli import options
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import RunFolderError
-from mast_zenoh.run_folder import read_json
 
 app = typer.Typer(help="Run a scenario in containers or on other hosts.", no_args_is_help=True, add_completion=False)
 
@@ -149,6 +146,8 @@ def certificates(
 @app.command()
 def status(run_folder: options.RunPath, confirmed: options.Confirmed = False) -> None:
     """List the nodes of a run, their state and place."""
+    from rich.table import Table
+
     kind, record = _deployed(run_folder, confirmed)
     table = Table("node", "state", "where", box=None)
     for row in kind.status(run_folder, record):
@@ -215,6 +214,9 @@ def doctor(
 
     Exits with 0 if this machine has what runs need, 1 if not; optional parts may be missing.
     """
+    from rich.markup import escape
+    from rich.table import Table
+
     from mast_zenoh.deploy import doctor as checks
 
     if report and credentials is not None:
@@ -239,6 +241,7 @@ def _deployed(folder: Path, confirmed: bool) -> tuple[Any, dict[str, Any]]:
     from mast_zenoh.config import plugins
     from mast_zenoh.deploy import engines
     from mast_zenoh.launch import liveness
+    from mast_zenoh.run_folder import read_json
 
     record = read_json(folder / "run.json")
     deployment = record.get("deployment")

@@ -20,7 +20,6 @@ from mast_zenoh.cli import completion
 from mast_zenoh.errors import DiskFull, HandlerFailed, Interrupted, NotComparable, RunFolderError
 from mast_zenoh.launch import ending
 from mast_zenoh.mesh.security import levels
-from mast_zenoh.run_folder.finding import notice_lines
 
 if TYPE_CHECKING:
     from mast_zenoh.config.loading import AllowedCode
@@ -302,6 +301,8 @@ def show_notices(finished: EndedRun, label: str = "") -> None:
 
     Notices are warnings: if nothing else is printed, they go to standard error.
     """
+    from mast_zenoh.run_folder.finding import notice_lines
+
     notices = notice_lines(finished.record)
     if finished.record["message"] and not finished.error:
         notices.append(f"note: {finished.record['message']}")

@@ -16,7 +16,6 @@ from mast_zenoh.cli.options import err as _err
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, ExportError
 from mast_zenoh.launch import stop_signals
-from mast_zenoh.run_folder import reading
 from mast_zenoh.show.formats import FORMATS, GONE, check
 
 if TYPE_CHECKING:
@@ -113,6 +112,7 @@ def export(
     ] = None,
 ) -> None:
     """Write a finished run in another format."""
+    from mast_zenoh.run_folder import reading
     from mast_zenoh.runs.recorded import open_recorded
     from mast_zenoh.show import export as formats
 
@@ -149,6 +149,7 @@ def animate(
     fps: Annotated[float | None, typer.Option(help="Images per second. Default: every frame, at most 30.")] = None,
 ) -> None:
     """Write a film of a finished run."""
+    from mast_zenoh.run_folder import reading
     from mast_zenoh.show.film import writing  # drawing libraries are slow to load
 
     look = _look(locals())
@@ -174,6 +175,7 @@ def snapshot(
     captions: Captions = None,
 ) -> None:
     """Write one frame of a finished run as a figure."""
+    from mast_zenoh.run_folder import reading
     from mast_zenoh.show.film import writing
 
     look = _look(locals())

@@ -14,7 +14,6 @@ import typer
 from mast_zenoh.cli import completion
 from mast_zenoh.cli.options import Frames, Scenario, Seed, Settings
 from mast_zenoh.cli.options import out as _out
-from mast_zenoh.wiring.model import Wiring, to_mermaid, to_text
 
 _CHAIN_COLUMN = 37  # of `to_text`: nodes are to the right of it
 _LEG_INDENT = 10
@@ -27,6 +26,7 @@ def wiring(
 ) -> None:
     """Show the publishers and subscribers of every key, with rewrites marked."""
     from mast_zenoh import scenario
+    from mast_zenoh.wiring.model import Wiring, to_mermaid, to_text
 
     path, loaded = scenario.load(scenario_file, settings or ())
     resolved = scenario.resolve(path, loaded, record=True)

@@ -15,7 +15,6 @@ from mast_zenoh.cli.observers import LAST_LINE, print_line
 from mast_zenoh.cli.options import Confirmed, allowed_code, refuse, run_argument
 from mast_zenoh.cli.options import out as _out
 from mast_zenoh.errors import ConfigurationError, RunFolderError
-from mast_zenoh.run_folder import reading
 
 if TYPE_CHECKING:
     from mast_zenoh.config.loading import AllowedCode
@@ -65,6 +64,7 @@ def view(
 
 def _show_finished(folders: list[Path], frame: int | None, port: int, browser: bool) -> None:
     """Show one finished run, or two, in a browser until Ctrl-C."""
+    from mast_zenoh.run_folder import reading
     from mast_zenoh.show.page.live_server import PageServer
     from mast_zenoh.show.page.page import policy, viewer_page
 

@@ -17,7 +17,6 @@ import sys
 import threading
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache
-from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -75,6 +74,8 @@ def installed() -> tuple[Plugin, ...]:
 
     Not those in the working directory, which may be a run folder of somebody else's.
     """
+    from importlib.metadata import distributions  # slow, and most commands need no plugins
+
     places = [place for place in sys.path if Path(place).resolve() != Path.cwd()]
     plugins: dict[tuple[str, str], Plugin] = {}
     for distribution in distributions(path=places):

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -318,7 +317,9 @@ def _unused(path: Path) -> Path:
 @cache
 def versions() -> dict[str, str]:
     """Versions of Python, platform, kernels and packages."""
-    from mast_zenoh import kernels  # NumPy is slow to load
+    from importlib.metadata import version  # slow to load, as is NumPy
+
+    from mast_zenoh import kernels
 
     packages = ("mast-zenoh", "eclipse-zenoh", "numpy", "scipy", "msgpack", "filterpy", "mcap")
     host = {"python": platform.python_version(), "platform": platform.platform(), "kernels": kernels.USED}
