@@ -58,6 +58,12 @@ def test_a_placeholder_creates_one_wire_per_node_of_its_role() -> None:
     assert wiring.ports("infra_1").inputs["agent/infra_1/detections"].source == "simulator"
     assert wiring.ports("simulator").outputs["detections", "ego"] == "agent/ego/detections"
     assert set(wiring.ports("broker").inputs) == {"agent/ego/tracks", "agent/infra_1/tracks"}
+    found = {name: wiring.find(name, message="tracks") for name in ("ego", "infra_1", "truck")}
+    assert {name: wire and wire.key for name, wire in found.items()} == {
+        "ego": "agent/ego/tracks",
+        "infra_1": "agent/infra_1/tracks",
+        "truck": None,
+    }
 
 
 def test_an_optional_insert_can_name_the_wire_of_one_agent() -> None:
