@@ -9,6 +9,7 @@ import pytest
 from attack_worlds import SECOND, at, coverage_of, world
 from hypothesis import given
 from hypothesis import strategies as st
+from plaza import plaza
 
 from mast_zenoh.arrays.states import propagate
 from mast_zenoh.attacks import Attack, Surroundings
@@ -75,6 +76,17 @@ def test_a_drift_goes_back_while_the_trust_has_fallen() -> None:
     assert np.allclose(change[8:28], 0.1)
     assert np.allclose(change[30:38], -0.1)
     assert np.allclose(change[41:], 0.1)
+
+
+def test_the_object_nearest_to_the_ego_is_changed_but_never_the_ego_itself() -> None:
+    attack = SlowDrift(budget=1.0, start_s=0.5)
+    attack.inform(plaza(("infra_1",), ego=[(0.0, 10.0, 0.0, 80.0)]))
+    attack.bind(0, "adversary_1")
+    seen, changed = at((10.0, 0.0), (30.0, 0.0), (60.0, 0.0), id=np.arange(3)), set()
+    for frame in range(40):
+        report = attack.step(frame, frame * SECOND // 10, seen, ORIGIN).report
+        changed |= {*report.before_position[:, 0].tolist()}
+    assert changed == {30.0}
 
 
 def test_colluding_adversaries_are_honest_while_the_trust_in_one_has_fallen() -> None:
