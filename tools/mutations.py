@@ -30,8 +30,9 @@ ROOT = Path(__file__).parents[1]
 ROOMS = ("fusion", "tracking", "attacks", "wiring", "mesh", "messages", "evaluation", "integrity")
 #: Tests of a room that are in other folders; those of compiled functions, which compare them with the code, are of all.
 BESIDE = {
-    "mesh": ("simulation", "runtime", "control"),
-    "evaluation": ("nodes/test_evaluator.py", "effects"),
+    "attacks": ("testing/test_invalid_parameters_are_refused.py",),
+    "mesh": ("simulation", "runtime", "control", "security"),
+    "evaluation": ("nodes/test_evaluator.py", "effects", "driving"),
     "fusion": ("pipelines",),
     "messages": ("runtime/test_row_limits.py", "runtime/test_limits.py"),
 }
@@ -53,6 +54,8 @@ _COMPARISON = {
 }
 _BOOLEAN = {ast.And: ast.Or, ast.Or: ast.And}
 KINDS = ("arithmetic", "comparison", "boolean", "constant", "condition")
+#: A tuple of more values is a table that a program has written.
+_TABLE = 100
 
 
 class Mutation(NamedTuple):
@@ -98,8 +101,10 @@ def mutations(file: Path, content: bytes) -> Iterator[Mutation]:
 
 
 def _code(node: ast.AST) -> Iterator[ast.AST]:
-    """The nodes below one that tests can notice: no annotations, no messages of errors, nothing for type checkers."""
+    """The nodes below one that tests can notice: no annotations, messages of errors, tables, type checkers' code."""
     if isinstance(node, ast.Raise) or (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
+        return
+    if isinstance(node, ast.Tuple) and len(node.elts) > _TABLE:
         return
     yield node
     skipped = ("annotation", "returns", "format_spec")
