@@ -25,15 +25,23 @@ from mast_zenoh.attacks.surroundings import Coverage
 SCHEDULED_MPS, DRIVEN_MPS = 8.0, 4.0
 
 
-def street(victim: str) -> Surroundings:
-    return plaza((victim,), ego=[(0.0, -60.0, 0.0, 90.0), (30.0, 180.0, 0.0, 90.0)], infra_1=[(0.0, 0.0, 10.0, 150.0)])
+def street(victim: str, turn: float = 0.0) -> Surroundings:
+    """turn: rad, counter-clockwise, of the whole street"""
+    x, y = np.cos(turn), np.sin(turn)
+    ego = [(0.0, -60.0 * x, -60.0 * y, 90.0), (30.0, 180.0 * x, 180.0 * y, 90.0)]
+    return plaza((victim,), ego=ego, infra_1=[(0.0, -10.0 * y, 10.0 * x, 150.0)])
+
+
+def turned(states: ObjectStates, turn: float) -> ObjectStates:
+    rotation = np.array([[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    return states.with_(position=states.position @ rotation, velocity=states.velocity @ rotation, yaw=states.yaw + turn)
 
 
 class DrivenEgo:
     """An attack on the picture for an ego that falls behind its schedule, or on the tracks of a pole that sees it."""
 
-    def __init__(self, attack: Attack, victim: str = "ego") -> None:
-        known = street(victim)
+    def __init__(self, attack: Attack, victim: str = "ego", turn: float = 0.0) -> None:
+        known, self.turn = street(victim, turn), turn
         self.played = Played(attack, known, victim, fused=victim == "ego")
         self.x, self.frame = -60.0, -1
 
@@ -42,9 +50,9 @@ class DrivenEgo:
         self.frame += 1
         self.x += 0.1 * speed_mps if self.frame else 0.0
         ego = at((self.x, 0.0), id=np.array([7]), velocity=np.array([[speed_mps, 0.0, 0.0]]))
-        self.objects = concatenate([ego, *others])
+        self.objects = turned(concatenate([ego, *others]), self.turn)
         attack, sensor = self.played.attack, self.played.known.sensors[self.played.victim]
-        position = np.array([self.x, 0.0, 0.0]) if self.played.victim == "ego" else sensor.route.at(0.0)[0]
+        position = self.objects.position[0] if self.played.victim == "ego" else sensor.route.at(0.0)[0]
         attack.look(sensor.view(position, np.eye(3)), fused=self.played.fused)
         return attack.step(self.frame, self.frame * PERIOD, self.objects, position)
 
@@ -79,10 +87,10 @@ def test_the_leader_of_an_ego_that_is_off_schedule_is_hidden_and_nothing_else(vi
         assert driven.objects.id[~kept].tolist() == ([] if frame < 10 else [1])
 
 
-@pytest.mark.parametrize("with_velocity", [True, False])
-def test_who_comes_from_the_side_is_hidden_before_and_in_the_lane_and_who_stands_there_is_not(with_velocity):
+@pytest.mark.parametrize(("with_velocity", "turn"), [(True, 0.0), (True, 2.0), (False, 0.0)])
+def test_who_comes_from_the_side_is_hidden_before_and_in_the_lane_and_who_stands_there_is_not(with_velocity, turn):
     """Without velocities and ids, as in detections, the attack estimates them itself."""
-    driven, hidden = DrivenEgo(HideAhead(start_s=1.0, what="crossing")), []
+    driven, hidden = DrivenEgo(HideAhead(start_s=1.0, what="crossing"), turn=turn), []
     for frame in range(100):
         y = 9.0 - 0.15 * frame
         walker = moving(-10.0, y, 0.0, -1.5, 1, length_m=0.5)
