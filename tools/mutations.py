@@ -33,7 +33,7 @@ BESIDE = {
     "attacks": ("testing/test_invalid_parameters_are_refused.py",),
     "mesh": ("simulation", "runtime", "control", "security"),
     "evaluation": ("nodes/test_evaluator.py", "effects", "driving"),
-    "fusion": ("pipelines",),
+    "fusion": ("pipelines", "nodes"),
     "messages": ("runtime/test_row_limits.py", "runtime/test_limits.py"),
 }
 #: s that the tests of a room may take; a change with which they take longer is noticed by that.
