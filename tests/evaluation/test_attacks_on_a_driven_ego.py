@@ -86,7 +86,7 @@ def test_an_ego_hits_the_leader_that_it_does_not_see_and_its_twin_does_not(attac
     assert twin["collisions"] == []
 
 
-@pytest.mark.parametrize(("attack", "wire"), zip(LEADERS, ["picture", "detections"], strict=True))
+@pytest.mark.parametrize(("attack", "wire"), [*zip(LEADERS, ["picture", "detections"], strict=True)])
 def test_one_of_both_sources_is_enough_to_keep_the_leader(attack: str, wire: str) -> None:
     junction, seed, settings = LEADERS[attack]
     assert driven(junction, seed, *settings, f"attack={attack}", f"wire={wire}")["collisions"] == []
