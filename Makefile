@@ -29,7 +29,7 @@ test: .venv/ready
 
 # These, then the heavy ones: containers, hosts, browsers, the commands of pages, every way to end a run.
 test-all: test .venv/ros2/ready .venv/sumo .venv/site/ready
-	$(PYTEST) -n 4 -m heavy
+	$(PYTEST) -n 4 -m heavy --timeout 600
 
 # Random draws, many more than `make test-all` makes; `make fuzz SEED=7` repeats those of an earlier run with that seed.
 DRAWN := tests/runtime/test_malformed_input.py tests/mesh/test_malformed_control.py tests/simulation tests/testing \
