@@ -291,7 +291,7 @@ def plural(count: float, noun: str) -> str:
     return f"{count:.0f} {noun}{'' if count == 1 else 's'}"
 
 
-def place_of(error: Exception, modules: Collection[str]) -> str:
+def place_of(error: BaseException, modules: Collection[str]) -> str:
     """FILE:LINE of the last call in any of these modules that led to an error; "": none did."""
     trace = traceback.walk_tb(error.__traceback__)
     places = [

@@ -37,6 +37,8 @@ class StudySeries(NamedTuple):
 
 #: How intervals were computed, see `study.statistics`; or that there is none, as most differences are 0.
 STUDENT, BOOTSTRAP, POISSON, BINOMIAL = "Student's t", "bootstrap over trials", "exact Poisson", "exact binomial"
+#: Of fewer than five seeds, but not scenes: to other scenes with these seeds; of three or more, to other seeds, too.
+OVER_SCENES, TWO_WAY = "Student's t over scenes", "analysis of variance over scenes and seeds"
 MOSTLY_ZERO = "none: mostly 0"
 
 
@@ -46,7 +48,8 @@ class Statistic(NamedTuple):
     value, low, high: of means, over the trials of `seeds` seeds in `scenes` scenes, each paired with its baseline: over
                seeds of these scenes; without bounds for fewer than five seeds, or equal ones
     trials:    number of trials behind it;  left_out: of those without it, because they failed or have no value
-    interval:  how the bounds were computed: STUDENT, BOOTSTRAP, POISSON, BINOMIAL; MOSTLY_ZERO or "" without bounds
+    interval:  how the bounds were computed: STUDENT, OVER_SCENES, TWO_WAY, BOOTSTRAP, POISSON, BINOMIAL; MOSTLY_ZERO or
+               "" without bounds
     p:         p-value of no difference, over seeds; of differences only: of Student's t, or where most are 0 of an
                exact sign test; NaN where all are equal
     mean, std: over the frames of all trials, as in the paper; std is NaN for metrics of whole runs

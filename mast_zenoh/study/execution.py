@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import logging
 import os
 import shlex
@@ -18,14 +19,25 @@ from typing import TYPE_CHECKING, Any
 
 from mast_zenoh import scenario
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.errors import ConfigurationError, HandlerFailed, Interrupted, RunError, StartError
+from mast_zenoh.errors import (
+    ConfigurationError,
+    HandlerFailed,
+    Interrupted,
+    RunError,
+    StartError,
+    is_disk_full,
+    is_out_of_resources,
+    place_of,
+)
 from mast_zenoh.mesh.control import failures, results
 from mast_zenoh.mesh.control.results import EVALUATOR
 from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.metrics import Table
+from mast_zenoh.run_folder import finite
 from mast_zenoh.study.trial import Trial, TrialOutcome, environment
 
 if TYPE_CHECKING:
+    from mast_zenoh.runs.run import Run
     from mast_zenoh.study.defences.kinds import Kind
 
 _CONNECT_S = 20
@@ -68,7 +80,7 @@ def run(trial: Trial) -> TrialOutcome:
         return TrialOutcome(trial, metrics, table, compromised, cpu_s=round(cpu_s, 3), warning=warning)
     except Interrupted:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # of code of the user's
         return TrialOutcome.failed(trial, f"{type(error).__name__}: {error}")
 
 
@@ -139,10 +151,23 @@ def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str])
         played = Run(finished.folder)
         metrics = played.summary
         if (kind := _kind(trial)) is not None:
-            metrics["defence"] = kind.evaluate(played, compromised)
+            metrics["defence"] = _evaluated(kind, played, compromised)
         return metrics, from_arrow(played.metrics), finished.failures, cpu_s
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _evaluated(kind: type[Kind], run: Run, compromised: Sequence[str]) -> Any:
+    """What a kind says of a run, as it will be read again; raises RunError, with the place, if it fails."""
+    try:
+        found = finite(kind.evaluate(run, compromised))
+        json.dumps(found, allow_nan=False)
+    except (Exception, SystemExit) as error:
+        if isinstance(error, Interrupted) or is_out_of_resources(error) or is_disk_full(error):
+            raise
+        place = place_of(error, {kind.__module__})
+        raise RunError(f"{place}{': ' if place else ''}evaluate: {type(error).__name__}: {error}") from None
+    return found
 
 
 def default_jobs() -> int:

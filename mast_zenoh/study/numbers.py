@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -138,8 +139,8 @@ def numbers(metrics: Mapping[str, Any]) -> Iterator[Number]:
 def of_kind(kind: str, measures: Mapping[str, Any]) -> Iterator[Number]:
     """The measures of a kind of study that are single numbers, of all agents together."""
     for name, value in measures.items():
-        if isinstance(value, (int, float)):
-            yield Number("all", kind, name, float(value), binary=isinstance(value, bool))
+        if isinstance(value, (Real, np.bool_)):
+            yield Number("all", kind, name, float(value), binary=isinstance(value, (bool, np.bool_)))
 
 
 def _of_defence(integrity: Mapping[str, Any]) -> Iterator[Number]:

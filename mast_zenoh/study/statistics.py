@@ -33,8 +33,10 @@ from mast_zenoh.metrics.study_results import (
     MIN_SEEDS,
     MOSTLY_ZERO,
     NEGLIGIBLE,
+    OVER_SCENES,
     POISSON,
     STUDENT,
+    TWO_WAY,
     Statistic,
     StudySeries,
 )
@@ -89,9 +91,7 @@ def over_seeds(values: Floats) -> Interval:
 def p_value_of_zero_mean(values: Floats) -> Floats:
     """Two-sided p-value of a zero mean over seeds (t statistic); NaN: not defined."""
     mean, error = _seed_means(values)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        p: Floats = 2.0 * stdtr(values.shape[-1] - 1.0, -np.abs(mean / error))
-    return np.where(np.isnan(error), np.nan, p)
+    return _p_value(mean, error, np.asarray(values.shape[-1] - 1.0))
 
 
 def p_value_of_signs(values: Floats) -> float:
@@ -108,6 +108,14 @@ def over_scenes(values: Floats) -> Interval:
     """Interval of the mean over other random scenes and seeds.
 
     NaN for fewer than MIN_CLUSTERS scenes or seeds.
+    """
+    if min(values.shape[-2:]) < MIN_CLUSTERS:
+        return Interval(*np.full((2, *values.shape[:-2]), np.nan))
+    return _t_interval(*_two_way(values))
+
+
+def _two_way(values: Floats) -> tuple[Floats, Floats, Floats]:
+    """The mean over scenes and seeds, its standard error (NaN: negligible) and degrees of freedom.
 
     Two-way analysis of variance with mean squares A between scenes, B between seeds and C of the residuals:
     the variance of the mean is estimated by (A + max(B - C, 0)) / (scenes * seeds), its degrees of freedom by
@@ -118,8 +126,6 @@ def over_scenes(values: Floats) -> Interval:
     """
     scenes, seeds = values.shape[-2:]
     mean = values.mean(axis=(-2, -1))
-    if min(scenes, seeds) < MIN_CLUSTERS:
-        return _t_interval(mean, np.full_like(mean, np.nan), np.asarray(1.0))
     by_scene, by_seed = values.mean(axis=-1), values.mean(axis=-2)
     residuals = values - by_scene[..., :, None] - by_seed[..., None, :] + mean[..., None, None]
     degrees = scenes - 1.0, seeds - 1.0, (scenes - 1.0) * (seeds - 1.0)
@@ -130,7 +136,7 @@ def over_scenes(values: Floats) -> Interval:
     error = np.sqrt(total / (scenes * seeds))
     error = np.where(_negligible(error, mean), np.nan, error)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return _t_interval(mean, error, total**2 / spread)
+        return mean, error, total**2 / spread
 
 
 def rate_interval(successes: Floats) -> Interval:
@@ -191,6 +197,12 @@ def _negligible(error: Floats, mean: Floats) -> Bools:
     return negligible
 
 
+def _p_value(mean: Floats, error: Floats, degrees: Floats) -> Floats:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        p: Floats = 2.0 * stdtr(degrees, -np.abs(mean / error))
+    return np.where(np.isnan(error), np.nan, p)
+
+
 def _t_interval(mean: Floats, error: Floats, degrees: Floats) -> Interval:
     half = stdtrit(degrees, _UPPER) * error
     return Interval(mean - half, mean + half)
@@ -208,9 +220,7 @@ def trial_estimate(
     paired: whether values are differences, which have a p-value, and an exact interval of the share of trials with 0.
             If that is more than half, the mean has no interval, which would be too narrow, and p is of a sign test
     """
-    known = ~np.isnan(values)
-    nonempty_scenes = known.any(axis=1)
-    complete = values[nonempty_scenes][:, known[nonempty_scenes].all(axis=0)]
+    complete = _complete(values)
     scenes, seeds = complete.shape
     if not complete.size:
         return Statistic(left_out=values.size, scenes=scenes)
@@ -238,6 +248,13 @@ def trial_estimate(
         return estimate._replace(p=float(p_value_of_zero_mean(complete)))
     estimate = estimate._replace(interval="" if estimate.is_zero else MOSTLY_ZERO, p=p_value_of_signs(complete))
     return estimate._replace(low=NAN, high=NAN, scenes_low=NAN, scenes_high=NAN)
+
+
+def _complete(values: Floats) -> Floats:
+    """The scenes that have any value, and of these the seeds that have all."""
+    known = ~np.isnan(values)
+    scenes = known.any(axis=1)
+    return values[scenes][:, known[scenes].all(axis=0)]
 
 
 def value_range(series: StudySeries, own: Mapping[str, Mapping[str, Any]] | None = None) -> tuple[float, float]:
@@ -270,6 +287,8 @@ def value_range(series: StudySeries, own: Mapping[str, Mapping[str, Any]] | None
 #: Minimum number of trials for a bootstrap, and for the interval of a share that is 0 or 1 in all of them.
 MIN_TRIALS = MIN_SEEDS
 RESAMPLES = 2000
+#: Least number of seeds, of MIN_TRIALS scenes, for an interval to other scenes and seeds: of two, 88 % are right.
+LEAST_SEEDS = 3
 #: Share of resamples that must have a value.
 _DEFINED = 0.95
 _TAILS = (1.0 - _UPPER, _UPPER)
@@ -282,10 +301,21 @@ def mean(
 
     values: (n,) scene by scene, NaN where a trial has none: its seed is left out
     bounds: smallest and largest possible value;  scenes: their number;  paired: whether values are differences
-    Of fewer than five seeds but not scenes, scenes are the units.
+    Of fewer than five seeds but not scenes, scenes are the units: the interval is one to other scenes with these seeds,
+    and of LEAST_SEEDS or more one to other seeds, too, as that of `over_scenes`. In one of fewer seeds, what seeds have
+    in common in all scenes is not contained.
     """
-    each = trial_estimate(units(values, scenes), bounds, paired=paired)
-    return _at_limit(each, each.trials, bounds) if np.isnan(each.low) else each
+    grid = units(values, scenes)
+    each = trial_estimate(grid, bounds, paired=paired)
+    if np.isnan(each.low):
+        return _at_limit(each, each.trials, bounds)
+    complete = _complete(grid).T
+    if grid.shape[0] == scenes or min(complete.shape) < LEAST_SEEDS:
+        return each if grid.shape[0] == scenes else each._replace(interval=OVER_SCENES)
+    of_both = _two_way(complete)
+    low, high = np.clip(_t_interval(*of_both), *bounds).tolist()
+    p = float(_p_value(*of_both)) if paired else each.p
+    return each._replace(low=low, high=high, p=p, interval="" if math.isnan(low) else TWO_WAY)
 
 
 def units(values: ArrayLike, scenes: int) -> Floats:

@@ -217,6 +217,17 @@ class Store:
         except (OSError, ValueError, KeyError, TypeError, RunFolderError, pyarrow.ArrowException):
             return None
 
+    @contextmanager
+    def read(self, trial: Trial) -> Iterator[None]:
+        """Raise RunFolderError where the numbers of a trial cannot be computed from what is stored of it."""
+        try:
+            yield
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            raise RunFolderError(
+                f"{self._path(trial)}: its contents cannot be used: {type(error).__name__}: {error}; remove it, and "
+                "--resume plays the trial again"
+            ) from None
+
     def run_folder(self, trial: Trial) -> Path:
         """Where the recorded run of a trial is kept."""
         return self.folder / "runs" / f"{trial.configuration}-seed_{trial.seed}-{trial.digest[:8]}"
@@ -227,13 +238,15 @@ class Store:
 
     def frame_schema(self, trials: Sequence[Trial]) -> pyarrow.Schema:
         """The union of the columns of all finished trials' tables per frame."""
-        schemas = [pyarrow.schema([])]
+        result = pyarrow.schema([])
         for trial in trials:
             try:
-                schemas.append(parquet.read_schema(check_plain(self._path(trial))).remove_metadata())
+                found = parquet.read_schema(check_plain(self._path(trial))).remove_metadata()
             except (OSError, RunFolderError, pyarrow.ArrowException):
                 continue  # absent or broken
-        return pyarrow.unify_schemas(schemas, promote_options="permissive")
+            with self.read(trial):  # errors of Arrow are of these types
+                result = pyarrow.unify_schemas([result, found], promote_options="permissive")
+        return result
 
     def _path(self, trial: Trial) -> Path:
         return self._trials / f"{trial.digest}.parquet"

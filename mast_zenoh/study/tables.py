@@ -150,7 +150,8 @@ def _write_parquet(
             baseline = next((each for each in group if each.trial.configuration == study.baseline), None)
             for outcome in group:
                 label = outcome.trial.configuration
-                trial_numbers = [*numbers.values(outcome, baseline)]
+                with store.read(outcome.trial):
+                    trial_numbers, of_frames = [*numbers.values(outcome, baseline)], to_arrow(numbers.frames(outcome))
                 attacked = outcome.trial.idle is None  # an attack that never began neither succeeded nor failed
                 samples.add(
                     outcome, trial_numbers if attacked else [n for n in trial_numbers if n.estimator != ACHIEVED]
@@ -158,7 +159,7 @@ def _write_parquet(
                 if kind is not None:
                     trial_numbers += numbers.of_kind(kind.name, kind.add(outcome))
                 trial_file.append(per_trial.add(to_arrow(numbers.columns(outcome.trial, trial_numbers)), label))
-                frame_file.append(per_frame.add(to_arrow(numbers.frames(outcome)), label))
+                frame_file.append(per_frame.add(of_frames, label))
                 done[label] += 1
     return done, samples
 

@@ -30,8 +30,10 @@ def garbage(count: int) -> list[bytes]:
 
 @pytest.mark.heavy
 def test_a_hundred_thousand_malformed_messages_are_counted_and_end_no_node(launch) -> None:
-    # At a tenth of its speed, it lasts longer than the flood.
-    run: Launched = launch("coordinated", "--mode", "realtime", "--rate", "0.1", "--set", "scene_index=1", "--no-record")
+    # At a tenth of its speed, the run lasts longer than the flood.
+    run: Launched = launch(
+        "coordinated", "--mode", "realtime", "--rate", "0.1", "--set", "scene_index=1", "--no-record"
+    )
     with closing(Observer(run.started(), "clock")) as observer:
         eventually(lambda: observer.frame() > 3, "frames are played")
         wiring = Wiring.from_json(json.loads((run.out / "wiring.json").read_text()))

@@ -7,7 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from mast_zenoh.metrics.study_results import BINOMIAL, BOOTSTRAP, MOSTLY_ZERO, STUDENT, Statistic
+from mast_zenoh.metrics.study_results import (
+    BINOMIAL,
+    BOOTSTRAP,
+    MOSTLY_ZERO,
+    OVER_SCENES,
+    STUDENT,
+    TWO_WAY,
+    Statistic,
+)
 from mast_zenoh.study import statistics
 from mast_zenoh.study.statistics import kaplan_meier, trial_estimate
 
@@ -20,8 +28,29 @@ def test_the_interval_of_a_mean_is_students_t_over_seeds_as_in_all_studies() -> 
     expected = trial_estimate(values, (-math.inf, math.inf), paired=True)
     assert measured.interval == STUDENT
     assert (*measured[:3], measured.p) == (expected.value, expected.low, expected.high, expected.p)
-    transposed = statistics.mean(values.T.ravel(), scenes=8)  # of too few seeds, scenes are the units
-    assert transposed[1:3] == pytest.approx((expected.low, expected.high))
+
+
+def test_of_few_seeds_an_interval_is_one_to_other_scenes_and_says_so() -> None:
+    values = np.random.default_rng(2).normal(3.0, 2.0, (8, 4))
+    two, four = (statistics.mean(values[:, :seeds].ravel(), scenes=8, paired=True) for seeds in (2, 4))
+    of_scenes = trial_estimate(values[:, :2].T, (-math.inf, math.inf))
+    assert (two.interval, four.interval) == (OVER_SCENES, TWO_WAY)
+    assert two[1:3] == (of_scenes.low, of_scenes.high)
+    assert not np.isnan(statistics.over_scenes(np.hstack([values, values[:, :1]])).low)
+
+
+@pytest.mark.parametrize(
+    ("seeds", "scenes", "of_seed", "of_scene"), [(3, 5, 1.0, 0.3), (4, 8, 1.0, 0.5), (3, 8, 0.0, 1.0)]
+)
+def test_of_few_seeds_and_many_scenes_an_interval_contains_the_true_mean_whatever_they_share(
+    seeds: int, scenes: int, of_seed: float, of_scene: float
+) -> None:
+    rng, found = np.random.default_rng(4), []
+    for _ in range(600):
+        shared = of_seed * rng.normal(size=(1, seeds)) + of_scene * rng.normal(size=(scenes, 1))
+        each = statistics.mean((shared + 0.3 * rng.normal(size=(scenes, seeds))).ravel(), scenes=scenes, paired=True)
+        found.append((each.low <= 0.0 <= each.high, each.p > 0.05))
+    assert (np.mean(found, axis=0) > 0.92).all()
 
 
 @pytest.mark.parametrize("rate", [0.3, 0.7, 1.0, 2.0])

@@ -140,6 +140,18 @@ def test_more_seeds_can_be_added_later_and_a_trial_with_a_broken_file_is_run_aga
     assert {path.name for path in (tmp_path / "out" / "trials").iterdir()} > {path.name for path in files}
 
 
+@pytest.mark.parametrize("agents", [[], {"ego": 3}, {"ego": {"picture": {"fn": {"mean": "x", "std": 0.0}}}}])
+def test_contents_of_a_trials_file_from_which_no_numbers_follow_are_named(small, tmp_path: Path, agents: Any) -> None:
+    trials.run(small, tmp_path / "out", count=1)
+    path = min((tmp_path / "out" / "trials").iterdir())
+    table = parquet.read_table(path)
+    metadata = json.loads(table.schema.metadata[b"mast-zenoh"])
+    metadata["metrics"]["agents"] = agents
+    parquet.write_table(table.replace_schema_metadata({b"mast-zenoh": json.dumps(metadata)}), path)
+    with pytest.raises(RunFolderError, match=rf"{path.stem}\.parquet: its contents cannot be used: .*remove it"):
+        trials.run(small, tmp_path / "out", count=1, resume=True)
+
+
 def test_a_file_of_another_trial_is_not_taken_for_its_own_and_said(small, whole, tmp_path: Path, trials_run) -> None:
     trials.run(small, tmp_path / "out", count=2)
     first, second, *_ = sorted((tmp_path / "out" / "trials").iterdir())

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import product
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
@@ -138,20 +139,24 @@ class Kind(ABC):
         """Add a finished trial; returns its measures, {} if they fail."""
         factors = self._factors[outcome.trial.configuration]
         with self._attempted("measures"):
-            self.trials[factors][outcome.trial.key] = self.measures(factors, outcome)
+            self.trials[factors][outcome.trial.key] = _named(self.measures(factors, outcome))
         return self.trials[factors].get(outcome.trial.key, {})
 
     def values(self, factors: Factors, name: str) -> Floats:
         """(trials,) a number of each trial planned for a configuration, in the order of the study; NaN: it has none.
 
-        Raises LookupError for a name that no trial of the study has.
+        Raises LookupError for a name that no trial of the study has, and ConfigurationError for what is no number.
         """
         done = self.trials.get(factors, {})
         if not any(name in each for each in done.values()):
             known = {each for trials in self.trials.values() for measured in trials.values() for each in measured}
             if known and name not in known:
                 raise LookupError(f"no trial has a measure {name!r}{nearest(name, known)}")
-        return np.array([done[key].get(name, NAN) if key in done else NAN for key in self.order], np.float64)
+        found = [done[key].get(name, NAN) if key in done else NAN for key in self.order]
+        for each in found:
+            if not (each is None or isinstance(each, (Real, np.bool_))):
+                raise ConfigurationError(f"measure {name!r}: found {each!r:.60} in a trial, expected a number")
+        return np.array(found, np.float64)
 
     def mean(
         self, values: ArrayLike, bounds: tuple[float, float] = (-math.inf, math.inf), *, paired: bool = False
@@ -192,13 +197,15 @@ class Kind(ABC):
             table = self.table()
             with self._attempted("tables"):
                 made = _expected(self.tables(table), ResultTables, "ResultTables(...)")
-                texts, tables = made.texts(self.name), made
+                texts, tables = made.texts(_file_name(self.name)), made
             with self._attempted("more_tables"):
                 for name, more in self.more_tables(table).items():
-                    texts |= _expected(more, ResultTables, "ResultTables(...)").texts(name)
+                    texts |= _expected(more, ResultTables, "ResultTables(...)").texts(_file_name(name))
             with self._attempted("figures"):
                 for name, figure in _expected(self.figures(table), dict, "a dict").items():
-                    figures[name] = _expected(figure, RenderedFigure, "what render(...) returns")
+                    drawn = _expected(figure, RenderedFigure, "what render(...) returns")
+                    _file_name(drawn.name)
+                    figures[name] = drawn
         return tables, texts, figures
 
     @contextmanager
@@ -206,7 +213,7 @@ class Kind(ABC):
         """Note the error of a part, a method of the kind, with its file and line."""
         try:
             yield
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             if isinstance(error, Interrupted) or is_out_of_resources(error) or is_disk_full(error):
                 raise
             classes = [cls for cls in type(self).__mro__ if issubclass(cls, Kind) and cls is not Kind]
@@ -256,6 +263,28 @@ def _expected(value: Any, kind: type[Expected], what: str) -> Expected:
     if not isinstance(value, kind):
         raise ConfigurationError(f"found {value!r:.120}, expected {what}")
     return value
+
+
+def _named(measures: Any) -> dict[str, Any]:
+    """The measures of a trial; raises ConfigurationError unless they have names, and OverflowError for huge numbers."""
+    if not isinstance(measures, Mapping) or not all(isinstance(name, str) for name in measures):
+        raise ConfigurationError(f"found {measures!r:.120}, expected a dict of values by name")
+    for value in measures.values():
+        if isinstance(value, Real):
+            float(value)
+    return dict(measures)
+
+
+#: Files of every study.
+_TAKEN = ("table", "results", "frames", "study", "report", "search", "candidates")
+
+
+def _file_name(name: str) -> str:
+    """The name of files in a study's folder; raises ConfigurationError for one that cannot be, or is taken."""
+    if not isinstance(name, str) or Path(name).name != name or name.startswith(".") or name in _TAKEN:
+        expected = f"one that can name a file, and none of {', '.join(_TAKEN)}"
+        raise ConfigurationError(f"found the name {name!r:.120}, expected {expected}")
+    return name
 
 
 def name_of_kind(kind: type[Kind]) -> str:

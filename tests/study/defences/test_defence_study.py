@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pyarrow import parquet
 
 import mast_zenoh as mast
 from mast_zenoh import scenario, scenes
 from mast_zenoh.config.registry import known_types
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import ConfigurationError, TrialsFailed
 from mast_zenoh.integrity import Integrity
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.study import definition, execution, trial, trials
@@ -359,6 +360,8 @@ def own_kind(folder: Path, old: str = "", new: str = "") -> Path:
             r"mine\.py:21: figures: found .*expected what rend",
         ),
         ('name = "misses"', "", "mine.py: kind: Misses has no name"),
+        ('name = "misses"', 'name = "../misses"', r"mine\.py:17: tables: found the name '\.\./misses', expected"),
+        ('name = "misses"', 'name = "table"', r"tables: found the name 'table', expected one that can name a file"),
         ("def table(", "def tabel(", "mine.py: kind: Misses has no table"),
     ],
 )
@@ -371,11 +374,37 @@ def test_a_wrong_argument_of_a_figure_is_refused_before_the_first_trial(
     assert not (tmp_path / "study").exists()
 
 
-def test_measures_that_fail_end_a_study_after_its_first_trial(tmp_path: Path) -> None:
-    file = own_kind(tmp_path, '["fn"]["mean"]', '["missing"]["mean"]')
-    with pytest.raises(ConfigurationError, match=r"mine\.py:12: measures: KeyError: 'missing'"):
+@pytest.mark.parametrize(
+    ("new", "message"),
+    [
+        ('{"fn": outcome.metrics["missing"]}', r"mine\.py:12: measures: KeyError: 'missing'"),
+        ("None", r"mine\.py:11: measures: found None, expected a dict of values by name"),
+        ("{1: 2.0}", r"measures: found \{1: 2\.0\}, expected a dict of values by name"),
+        ('{"fn": 10**400}', "measures: OverflowError"),
+        ('{"fn": [1.0, 2.0]}', r"mine\.py:15: table: measure 'fn': found \[1\.0, 2\.0\] in a trial, expected a number"),
+        ('{"fn": "12"}', "table: measure 'fn': found '12' in a trial, expected a number"),
+        ("exit(0)", r"mine\.py:12: measures: SystemExit: 0"),
+    ],
+)
+def test_measures_that_fail_end_a_study_after_its_first_trial(tmp_path: Path, new: str, message: str) -> None:
+    file = own_kind(tmp_path, '{"fn": outcome.metrics["agents"]["ego"]["picture"]["fn"]["mean"]}', new)
+    with pytest.raises(ConfigurationError, match=message):
         mast.study(file, jobs=1, out=tmp_path / "study")
     assert len(list((tmp_path / "study" / "trials").iterdir())) == 1
+
+
+def test_numbers_of_numpy_are_numbers_and_what_fails_in_a_run_folder_fails_its_trial(tmp_path: Path) -> None:
+    measured = '{"fn": np.float32(2.0), "three": np.int64(3), "yes": np.bool_(True)}'
+    file = own_kind(tmp_path, '{"fn": outcome.metrics["agents"]["ego"]["picture"]["fn"]["mean"]}', measured)
+    file.write_text(f"import numpy as np\n{file.read_text()}")
+    mast.study(file, jobs=1, out=tmp_path / "study")
+    table = parquet.read_table(tmp_path / "study" / "results.parquet").to_pydict()
+    rows = {*zip(table["estimator"], table["metric"], table["value"], strict=True)}
+    assert {("misses", "fn", 2.0), ("misses", "three", 3.0), ("misses", "yes", 1.0)} <= rows
+    failing = "    @staticmethod\n    def evaluate(run, compromised):\n        return object()\n\n    def table"
+    file.write_text(file.read_text().replace("    def table", failing))
+    with pytest.raises(TrialsFailed, match=r"evaluate: TypeError: Object of type object is not JSON"):
+        mast.study(file, jobs=1, out=tmp_path / "failing")
 
 
 @pytest.mark.parametrize("part", ["figures", "tables"])
