@@ -48,7 +48,11 @@ class FinishedStudy:
             return self.comparison.table
         from pyarrow import csv
 
-        return csv.read_csv(self._of_trials("table.csv"))
+        file = self._of_trials("table.csv")
+        try:
+            return csv.read_csv(file)
+        except pyarrow.ArrowInvalid as error:
+            raise RunFolderError(f"{file}: no table: {error}") from None
 
     @property
     def comparison(self) -> Comparison:

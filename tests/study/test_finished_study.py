@@ -39,3 +39,6 @@ def test_nothing_outside_a_folder_is_opened_whatever_its_study_json_says(tmp_pat
     assert opened.runs == {}
     with pytest.raises(RunFolderError, match=r"table\.csv: missing"):
         opened.table()
+    (tmp_path / "table.csv").write_text("a,b" * 1000 + "\n1\n")
+    with pytest.raises(RunFolderError, match=r"table\.csv: no table: CSV"):
+        opened.table()
