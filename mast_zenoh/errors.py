@@ -286,6 +286,11 @@ def is_out_of_resources(error: BaseException) -> bool:
     return isinstance(error, MemoryError)
 
 
+def is_from_outside(error: BaseException) -> bool:
+    """Whether an error is not of the code that raised it: a signal, a full disk, or too few resources."""
+    return isinstance(error, Interrupted) or is_out_of_resources(error) or is_disk_full(error)
+
+
 def plural(count: float, noun: str) -> str:
     """`1 seed`, `20 seeds`."""
     return f"{count:.0f} {noun}{'' if count == 1 else 's'}"

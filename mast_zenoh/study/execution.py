@@ -25,8 +25,7 @@ from mast_zenoh.errors import (
     Interrupted,
     RunError,
     StartError,
-    is_disk_full,
-    is_out_of_resources,
+    is_from_outside,
     place_of,
 )
 from mast_zenoh.mesh.control import failures, results
@@ -160,14 +159,14 @@ def _run_in_folder(resolved: Resolved, trial: Trial, compromised: Sequence[str])
 def _evaluated(kind: type[Kind], run: Run, compromised: Sequence[str]) -> Any:
     """What a kind says of a run, as it will be read again; raises RunError, with the place, if it fails."""
     try:
-        found = finite(kind.evaluate(run, compromised))
-        json.dumps(found, allow_nan=False)
+        result = finite(kind.evaluate(run, compromised))
+        json.dumps(result, allow_nan=False)
     except (Exception, SystemExit) as error:
-        if isinstance(error, Interrupted) or is_out_of_resources(error) or is_disk_full(error):
+        if is_from_outside(error):
             raise
         place = place_of(error, {kind.__module__})
         raise RunError(f"{place}{': ' if place else ''}evaluate: {type(error).__name__}: {error}") from None
-    return found
+    return result
 
 
 def default_jobs() -> int:

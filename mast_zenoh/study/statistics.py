@@ -309,9 +309,11 @@ def mean(
     each = trial_estimate(grid, bounds, paired=paired)
     if np.isnan(each.low):
         return _at_limit(each, each.trials, bounds)
+    if len(grid) == scenes:  # seeds are the units
+        return each
     complete = _complete(grid).T
-    if grid.shape[0] == scenes or min(complete.shape) < LEAST_SEEDS:
-        return each if grid.shape[0] == scenes else each._replace(interval=OVER_SCENES)
+    if complete.shape[1] < LEAST_SEEDS:
+        return each._replace(interval=OVER_SCENES)
     of_both = _two_way(complete)
     low, high = np.clip(_t_interval(*of_both), *bounds).tolist()
     p = float(_p_value(*of_both)) if paired else each.p

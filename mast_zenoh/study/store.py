@@ -218,7 +218,7 @@ class Store:
             return None
 
     @contextmanager
-    def read(self, trial: Trial) -> Iterator[None]:
+    def naming(self, trial: Trial) -> Iterator[None]:
         """Raise RunFolderError where the numbers of a trial cannot be computed from what is stored of it."""
         try:
             yield
@@ -241,11 +241,11 @@ class Store:
         result = pyarrow.schema([])
         for trial in trials:
             try:
-                found = parquet.read_schema(check_plain(self._path(trial))).remove_metadata()
+                columns = parquet.read_schema(check_plain(self._path(trial))).remove_metadata()
             except (OSError, RunFolderError, pyarrow.ArrowException):
                 continue  # absent or broken
-            with self.read(trial):  # errors of Arrow are of these types
-                result = pyarrow.unify_schemas([result, found], promote_options="permissive")
+            with self.naming(trial):  # errors of Arrow are of these types
+                result = pyarrow.unify_schemas([result, columns], promote_options="permissive")
         return result
 
     def _path(self, trial: Trial) -> Path:

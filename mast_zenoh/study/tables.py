@@ -150,7 +150,7 @@ def _write_parquet(
             baseline = next((each for each in group if each.trial.configuration == study.baseline), None)
             for outcome in group:
                 label = outcome.trial.configuration
-                with store.read(outcome.trial):
+                with store.naming(outcome.trial):
                     trial_numbers, of_frames = [*numbers.values(outcome, baseline)], to_arrow(numbers.frames(outcome))
                 attacked = outcome.trial.idle is None  # an attack that never began neither succeeded nor failed
                 samples.add(

@@ -58,8 +58,8 @@ def test_a_placeholder_creates_one_wire_per_node_of_its_role() -> None:
     assert wiring.ports("infra_1").inputs["agent/infra_1/detections"].source == "simulator"
     assert wiring.ports("simulator").outputs["detections", "ego"] == "agent/ego/detections"
     assert set(wiring.ports("broker").inputs) == {"agent/ego/tracks", "agent/infra_1/tracks"}
-    found = {name: wiring.find(name, message="tracks") for name in ("ego", "infra_1", "truck")}
-    assert {name: wire and wire.key for name, wire in found.items()} == {
+    of_agents = {name: wiring.find(name, message="tracks") for name in ("ego", "infra_1", "truck")}
+    assert {name: wire and wire.key for name, wire in of_agents.items()} == {
         "ego": "agent/ego/tracks",
         "infra_1": "agent/infra_1/tracks",
         "truck": None,

@@ -128,8 +128,8 @@ def conclusions(
     if own_reading:
         return Conclusions(own_headline, own_reading, [result, *others])
     # That no error changes clearly is no news where the study's own measure does.
-    told = not facts.idle and _nothing_changes(_attacked(rows, facts), comparisons)
-    return Conclusions(own_headline, others if told else [result, *others])
+    no_news = not facts.idle and _nothing_changes(_attacked(rows, facts), comparisons)
+    return Conclusions(own_headline, others if no_news else [result, *others])
 
 
 def clearest_change(rows: Sequence[Row], facts: StudyFacts, comparisons: Comparisons) -> str:

@@ -22,21 +22,14 @@ import numpy as np
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.config import loading
-from mast_zenoh.errors import (
-    ConfigurationError,
-    Interrupted,
-    MastError,
-    is_disk_full,
-    is_out_of_resources,
-    nearest,
-    place_of,
-)
+from mast_zenoh.errors import ConfigurationError, MastError, is_from_outside, nearest, place_of
 from mast_zenoh.metrics.study_results import MIN_SEEDS, NAN, Statistic, size_of
 from mast_zenoh.run_folder import write_bytes
 from mast_zenoh.show.number_text import FEW_TRIALS
 from mast_zenoh.show.tables.text_table import ResultTables
 from mast_zenoh.study import statistics
 from mast_zenoh.study.trial import TrialKey, TrialOutcome
+from mast_zenoh.wiring.plain_shapes import is_name
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -214,7 +207,7 @@ class Kind(ABC):
         try:
             yield
         except (Exception, SystemExit) as error:
-            if isinstance(error, Interrupted) or is_out_of_resources(error) or is_disk_full(error):
+            if is_from_outside(error):
                 raise
             classes = [cls for cls in type(self).__mro__ if issubclass(cls, Kind) and cls is not Kind]
             place = place_of(error, {cls.__module__ for cls in classes})
@@ -281,7 +274,7 @@ _TAKEN = ("table", "results", "frames", "study", "report", "search", "candidates
 
 def _file_name(name: str) -> str:
     """The name of files in a study's folder; raises ConfigurationError for one that cannot be, or is taken."""
-    if not isinstance(name, str) or Path(name).name != name or name.startswith(".") or name in _TAKEN:
+    if not is_name(name) or name in _TAKEN:
         expected = f"one that can name a file, and none of {', '.join(_TAKEN)}"
         raise ConfigurationError(f"found the name {name!r:.120}, expected {expected}")
     return name
