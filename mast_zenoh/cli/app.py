@@ -69,13 +69,13 @@ def run(
     bridges = {key: mesh for key, mesh in outside_meshes().items() if loaded.get(key) is not None}
     if runtime == "inproc":
         for mesh in filter(lambda mesh: mesh.no_bridge, bridges.values()):
-            _err.warn(mesh.no_bridge)
+            _err().warn(mesh.no_bridge)
         bridges = {}
     with ExitStack() as stack:
         stack.enter_context(options.silenced(quiet))
         prepared = [stack.enter_context(view.viewer(shown))]
         prepared += [stack.enter_context(mesh.bridge(loaded[key])) for key, mesh in bridges.items()]
-        console = _err if quiet else _out
+        console = (_err if quiet else _out)()
 
         def prepare(context: RunContext) -> None:
             for each in prepared:
@@ -128,28 +128,28 @@ def study(
         options.refuse(invalid, problem, study_file)
         from mast_zenoh.study import attacked_run
 
-        folder, tables = attacked_run.compare(loaded.chosen(seed=seed, frames=frames), out, console=_out)
-        _out.print(tables.as_rich())
+        folder, tables = attacked_run.compare(loaded.chosen(seed=seed, frames=frames), out, console=_out())
+        _out().print(tables.as_rich())
         for name in attacked_run.FILES:
-            _out.plain(str(folder / name))
+            _out().plain(str(folder / name))
         return
     from mast_zenoh.study import interface
 
-    finished = interface.run(loaded, out, **chosen, frames=frames, seed=seed, runtime=runtime, console=_out)
+    finished = interface.run(loaded, out, **chosen, frames=frames, seed=seed, runtime=runtime, console=_out())
     if isinstance(finished, interface.ComparisonResult):
         with options.reporting(finished.out):
             from mast_zenoh.show import html, terminal  # after the runs: drawing libraries are slow to load
 
-            terminal.show(_out, finished.folders)
+            terminal.show(_out(), finished.folders)
             if driven := finished.drive():
-                terminal.show_driven(_out, *driven)
-            _out.plain(f"report: {html.write_study_report(finished.out, finished.folders, driven=driven)}")
+                terminal.show_driven(_out(), *driven)
+            _out().plain(f"report: {html.write_study_report(finished.out, finished.folders, driven=driven)}")
         for label, run_ in finished.runs.items():
             options.show_notices(run_, f"{label}: ")
     else:
-        _out.print(finished.as_rich())
+        _out().print(finished.as_rich())
         for path in (*finished.files, f"report: {finished.report}"):
-            _out.plain(path)
+            _out().plain(path)
     finished.raise_failures()
 
 
@@ -172,12 +172,12 @@ def diff(
         before, reason = comparable(run_a, run_b)
         difference = compare(run_a, run_b, wires=wire or ("*",), ignore=ignore or (), taps=taps, before=before)
     except MastError as error:
-        _err.plain(f"cannot compare: {error}")
+        _err().plain(f"cannot compare: {error}")
         raise typer.Exit(2) from None
     for line in explain(difference):
-        _out.plain(line)
+        _out().plain(line)
     if reason and difference.first is None:
-        _err.plain(f"not comparable from frame {before} onwards: {reason}")
+        _err().plain(f"not comparable from frame {before} onwards: {reason}")
         raise typer.Exit(2)
     raise typer.Exit(0 if difference.first is None else 1)
 
@@ -214,9 +214,9 @@ def carry_out() -> int:
 
 
 def _show(error: MastError) -> int:
-    _err.print(f"[bold red]error:[/] {type(error).__name__}:", end=" ")
+    _err().print(f"[bold red]error:[/] {type(error).__name__}:", end=" ")
     hint = f": {options.with_trust(sys.argv[1:])}" if isinstance(error, UntrustedCode) else ""
-    _err.plain(f"{error}{hint}")
+    _err().plain(f"{error}{hint}")
     return error.exit_code
 
 

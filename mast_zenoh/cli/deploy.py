@@ -63,7 +63,7 @@ def up(
     platform = engines.make(kind, parameters | engines.options(kind, option or ()))
     check_space(out or Path("runs"), needed_space(resolved))
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    finished = run.run(resolved, out, engine=platform, secure=secure, **allowed, console=_out)
+    finished = run.run(resolved, out, engine=platform, secure=secure, **allowed, console=_out())
     options.conclude(finished, report=report)
 
 
@@ -117,13 +117,13 @@ def join(
     resolved = scenario.resolve(path, loaded, frames=frames, record=True)
     with inside.joined(endpoint, run, credentials) as session:
         engine = inside.Inside(run, session, endpoint, credentials)
-        finished = launch.run(resolved, engine=engine, secure=secure, console=_out)
+        finished = launch.run(resolved, engine=engine, secure=secure, console=_out())
         try:
             options.conclude(finished, report=True)
         finally:
             name = documents.container(run, documents.LAUNCHER)
-            _out.plain(f"results: volume {documents.project(run)}-results; get them by")
-            _out.plain(f"  docker cp {name}:{finished.folder} .")
+            _out().plain(f"results: volume {documents.project(run)}-results; get them by")
+            _out().plain(f"  docker cp {name}:{finished.folder} .")
 
 
 @app.command(hidden=True)
@@ -154,8 +154,8 @@ def status(run_folder: options.RunPath, confirmed: options.Confirmed = False) ->
         table.add_row(row["node"], row["state"], row["where"])
     from mast_zenoh.launch import liveness
 
-    _out.plain(f"{record['id']}: {liveness.current_record(record)['status']}")
-    _out.print(table)
+    _out().plain(f"{record['id']}: {liveness.current_record(record)['status']}")
+    _out().print(table)
 
 
 @app.command()
@@ -181,7 +181,7 @@ def down(run_folder: options.RunPath, confirmed: options.Confirmed = False) -> N
         write_json(
             run_folder / "run.json", record | {"status": "failed", "message": "taken down by `mast deploy down`"}
         )
-    _out.plain(f"{record['id']}: nothing is left")
+    _out().plain(f"{record['id']}: nothing is left")
 
 
 @app.command()
@@ -198,9 +198,9 @@ def image(
     base = base or images.BASE
     built = images.build_image(tag or images.TAG, base)
     added_mb = images.size_over_base(built, base) / 1e6
-    _out.plain(f"image: {built}, {added_mb:.0f} MB over {base}")
+    _out().plain(f"image: {built}, {added_mb:.0f} MB over {base}")
     if launcher:
-        _out.plain(f"image: {images.build_image(tag or images.TAG, base, launcher=True)}")
+        _out().plain(f"image: {images.build_image(tag or images.TAG, base, launcher=True)}")
 
 
 def doctor(
@@ -223,13 +223,13 @@ def doctor(
         raise typer.BadParameter("names hosts, so it cannot be in a --report", param_hint="--credentials")
     findings = list(checks.examine(credentials, endpoint))
     if report:
-        _out.plain(checks.report(findings))
+        _out().plain(checks.report(findings))
     else:
         table = Table("", "", "", "what to do", box=None)
         for finding in findings:
             symbol = {True: "[green]ok", False: "[red]no", None: "[yellow]--"}[finding.ok]
             table.add_row(symbol, finding.name, escape(finding.detail), escape(finding.fix))
-        _out.print(table)
+        _out().print(table)
     raise typer.Exit(1 if any(finding.ok is False for finding in findings) else 0)
 
 

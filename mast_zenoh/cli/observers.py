@@ -81,7 +81,7 @@ def record_of(folder: Path) -> dict[str, Any]:
 
 def print_line(line: str) -> None:
     """Print a line at once, also into a pipe."""
-    _out.print(line, markup=False, highlight=False, soft_wrap=True)
+    _out().print(line, markup=False, highlight=False, soft_wrap=True)
     sys.stdout.flush()
 
 

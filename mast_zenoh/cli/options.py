@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.console import Console, ConsoleOptions, RenderableType
-from rich.segment import Segment
 from typer.core import TyperCommand
 
 from mast_zenoh.cli import completion
@@ -22,43 +20,28 @@ from mast_zenoh.launch import ending
 from mast_zenoh.mesh.security import levels
 
 if TYPE_CHECKING:
+    from mast_zenoh.cli.console import PlainConsole
     from mast_zenoh.config.loading import AllowedCode
     from mast_zenoh.launch.run import EndedRun
     from mast_zenoh.runs.run import Run
     from mast_zenoh.show.comparison import Reference
 
 
-#: Control characters except tab and line feed, and characters that change the direction of text.
-_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
-_ESCAPES = {code: chr(code).encode("unicode_escape").decode() for code in range(0x2070) if _CONTROL.match(chr(code))}
+# Rich is imported when something is printed: it takes a fifth of the time of `mast --help`.
+@cache
+def out() -> PlainConsole:
+    """The console of standard output."""
+    from mast_zenoh.cli.console import PlainConsole
+
+    return PlainConsole(soft_wrap=True)
 
 
-def escaped(text: str) -> str:
-    """A line from a node, without characters that control a terminal: `\\x1b` instead of an escape."""
-    return text.translate(_ESCAPES)
+@cache
+def err() -> PlainConsole:
+    """The console of standard error."""
+    from mast_zenoh.cli.console import PlainConsole
 
-
-class PlainConsole(Console):
-    """A console that replaces control characters, from a node's output or a file, by �."""
-
-    def print(self, *objects: Any, **options: Any) -> None:
-        super().print(*(_CONTROL.sub("�", text) if isinstance(text, str) else text for text in objects), **options)
-
-    def plain(self, text: object) -> None:
-        """Print a line as it is, without markup."""
-        self.print(str(text), markup=False, highlight=False)
-
-    def warn(self, text: str, label: str = "") -> None:
-        """Print a line as a warning."""
-        self.print(f"{label}warning: {text}", style="bold yellow", markup=False, highlight=False)
-
-    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        for segment in super().render(renderable, options):
-            yield segment if segment.control else segment._replace(text=_CONTROL.sub("�", segment.text))
-
-
-out = PlainConsole(soft_wrap=True)
-err = PlainConsole(stderr=True, soft_wrap=True)
+    return PlainConsole(stderr=True, soft_wrap=True)
 
 
 def run_argument(help: str, metavar: str = "RUN") -> Any:
@@ -165,12 +148,12 @@ def conclude(finished: EndedRun, *, report: bool, against: str | None = None, al
             refusal, reference = _show(finished, report=report, against=against)
     except (RunFolderError, DiskFull) as error:
         if finished.error:
-            err.warn(str(error))
+            err().warn(str(error))
             raise finished.error from None
         raise
     if finished.error:
         if refusal:
-            err.warn(f"not compared: {refusal}")
+            err().warn(f"not compared: {refusal}")
         raise finished.error
     if refusal:
         raise refusal
@@ -181,11 +164,11 @@ def conclude(finished: EndedRun, *, report: bool, against: str | None = None, al
 @contextmanager
 def silenced(quiet: bool) -> Iterator[None]:
     """Print nothing to standard output in this block, if `quiet`."""
-    out.quiet = quiet
+    out().quiet = quiet
     try:
         yield
     finally:
-        out.quiet = False
+        out().quiet = False
 
 
 @contextmanager
@@ -221,13 +204,13 @@ def _show(finished: EndedRun, *, report: bool, against: str | None) -> tuple[Run
         reference, refusal = _reference(run, against, interrupted=isinstance(finished.error, Interrupted))
     found = found_in(run, reference) if scored or report else {}
     if scored:
-        terminal.show_loaded(out, run, reference, found)
+        terminal.show_loaded(out(), run, reference, found)
     if report:
         from mast_zenoh.show import html  # drawing libraries are slow to load
 
-        out.plain(f"report: {html.write_page(run, reference=reference, found=found)}")
+        out().plain(f"report: {html.write_page(run, reference=reference, found=found)}")
     else:
-        out.plain(f"run folder: {finished.folder}")
+        out().plain(f"run folder: {finished.folder}")
     show_notices(finished)
     return refusal, reference
 
@@ -275,7 +258,7 @@ def allowed_code(*named: str | Path | None, confirmed: bool) -> AllowedCode:
     from mast_zenoh.config.loading import AllowedCode  # the classes of all nodes are slow to load
 
     def announce(sentence: str) -> None:
-        err.print(sentence, style="yellow", markup=False, highlight=False)
+        err().print(sentence, style="yellow", markup=False, highlight=False)
 
     return AllowedCode.of(*named, confirmed=confirmed, announce=announce)
 
@@ -293,7 +276,7 @@ def reference_folder(run_folder: Path, against: str, allowed: AllowedCode) -> Pa
     """
     from mast_zenoh.launch import twin
 
-    return twin.of(run_folder, out, allowed) if against == twin.FOLDER else Path(against)
+    return twin.of(run_folder, out(), allowed) if against == twin.FOLDER else Path(against)
 
 
 def show_notices(finished: EndedRun, label: str = "") -> None:
@@ -307,9 +290,9 @@ def show_notices(finished: EndedRun, label: str = "") -> None:
     if finished.record["message"] and not finished.error:
         notices.append(f"note: {finished.record['message']}")
     for notice in notices:
-        (err if out.quiet else out).print(f"{label}{notice}", style="yellow", markup=False, highlight=False)
+        (err() if out().quiet else out()).print(f"{label}{notice}", style="yellow", markup=False, highlight=False)
     if finished.failures and not isinstance(finished.error, HandlerFailed):
         from mast_zenoh.mesh.control import failures
 
         warning = failures.summary(finished.failures, finished.logs)
-        err.warn(warning, label)
+        err().warn(warning, label)

@@ -72,15 +72,15 @@ def report(
     allowed = options.allowed_code(*(figures or ()), confirmed=confirmed)
     if measure or measurement.can_fill_in(run_folder):
         for refused in measurement.measure(run_folder, allowed):
-            _err.plain(f"warning: {refused}")
-        _out.plain(f"measured: {run_folder / measurement.METRICS}")
+            _err().plain(f"warning: {refused}")
+        _out().plain(f"measured: {run_folder / measurement.METRICS}")
     other = None if against is None else options.reference_folder(run_folder, against, allowed)
     with options.reporting(run_folder):
         if other is not None:
-            terminal.show_run(_out, run_folder, other)
-        _out.plain(f"report: {html.write_report(run_folder, frame, other, figures or ())}")
+            terminal.show_run(_out(), run_folder, other)
+        _out().plain(f"report: {html.write_report(run_folder, frame, other, figures or ())}")
     if warning := terminal.failure(run_folder):
-        _err.warn(warning)
+        _err().warn(warning)
 
 
 def _checked_format(name: str) -> str:
@@ -122,9 +122,9 @@ def export(
             raise typer.BadParameter("missing: expected the new file or folder", param_hint="--out / -o")
         exported = formats.export(run_folder, to, out)
     for path in exported.paths:
-        _out.plain(f"exported: {path}")
+        _out().plain(f"exported: {path}")
     for sentence in exported.missing:
-        _err.warn(sentence)
+        _err().warn(sentence)
 
 
 def animate(
@@ -155,7 +155,7 @@ def animate(
     look = _look(locals())
     with reading(run_folder):
         images = writing.animate(run_folder, out, look, against, start=start, end=end, speed=speed, fps=fps)
-    _out.plain(f"film: {out} ({images} images, {out.stat().st_size / 1e6:.1f} MB)")
+    _out().plain(f"film: {out} ({images} images, {out.stat().st_size / 1e6:.1f} MB)")
 
 
 def snapshot(
@@ -181,7 +181,7 @@ def snapshot(
     look = _look(locals())
     with reading(run_folder):
         shown = writing.snapshot(run_folder, out, look, frame, against)
-    _out.plain(f"frame {shown}: {out}")
+    _out().plain(f"frame {shown}: {out}")
 
 
 _LOOK = ("agent", "camera", "window", "theme", "size", "dpi", "plain", "title")
@@ -207,6 +207,7 @@ def logs(
     ] = False,
 ) -> None:
     """Print the logs of a run's nodes, in the order of time; of all nodes with their names."""
+    from mast_zenoh.cli.console import escaped
     from mast_zenoh.launch.log_reading import RunLogs
 
     run_logs = RunLogs(run_folder, node)
@@ -218,7 +219,7 @@ def logs(
             running = follow and run_logs.running  # asked first: a node may log until the run ends
             for line in run_logs.new_lines(partial=not running):
                 prefix = f"{line.node}  " if node is None else ""
-                sys.stdout.write(f"{options.escaped(prefix + line.text)}\n")
+                sys.stdout.write(f"{escaped(prefix + line.text)}\n")
                 printed = True
                 if received:
                     break
@@ -227,9 +228,9 @@ def logs(
                 threading.Event().wait(_POLL_S)
     if not (printed or run_logs.problems or received):
         sentence = "no node has written to its log" if node is None else f"{node} has not written to its log"
-        _err.plain(sentence)
+        _err().plain(sentence)
     for log, problem in run_logs.problems.items():
-        _err.warn(f"{run_folder / log}: {problem}")
+        _err().warn(f"{run_folder / log}: {problem}")
 
 
 _BETWEEN = "Between two ROS 2 nodes"
@@ -340,7 +341,7 @@ def release(
 
 def _show_result(subject: str, result: dict[str, Any]) -> None:
     wires = ", ".join(result["wires"])
-    _out.plain(f"{subject} {wires} from frame {result['frame']} on ({result['took_ms']:.1f} ms)")
+    _out().plain(f"{subject} {wires} from frame {result['frame']} on ({result['took_ms']:.1f} ms)")
 
 
 def replay(
@@ -403,10 +404,10 @@ def replay(
         allowed=options.allowed_code(scenario, *files, confirmed=confirmed),
     )
     for line in prepared.lines():
-        _out.plain(line)
+        _out().plain(line)
     for notice in prepared.notices:
-        _err.warn(notice)
+        _err().warn(notice)
     environment: dict[str, Any] = {"runtime": runtime, "endpoint": endpoint, "secure": secure}
     allowed: dict[str, Any] = {"allow_failures": allow_failures, "allow_churn": allow_churn}
-    finished = launcher.run(prepared.resolved, out, **environment, **allowed, console=_out, replay=prepared.record())
+    finished = launcher.run(prepared.resolved, out, **environment, **allowed, console=_out(), replay=prepared.record())
     options.conclude(finished, report=report, against=against, allow_failures=allow_failures)

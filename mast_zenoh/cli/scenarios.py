@@ -37,8 +37,8 @@ def wiring(
         text = to_mermaid(resolved_wiring)
     else:
         text = to_text(resolved_wiring)
-        if _out.is_terminal:  # elsewhere each wire is one line, for other programs
-            text = "\n".join(_wrapped(text, _out.width))
+        if _out().is_terminal:  # elsewhere each wire is one line, for other programs
+            text = "\n".join(_wrapped(text, _out().width))
     sys.stdout.write(text + "\n")
 
 
@@ -70,10 +70,10 @@ def list_kind(
         for each in catalogue.KINDS:
             names = ", ".join(catalogue.list_kind(each).names)
             lines = textwrap.wrap(f"{each}: {names}", _WIDTH, subsequent_indent="    ", break_on_hyphens=False)
-            _out.plain("\n".join(lines))
+            _out().plain("\n".join(lines))
         return
     listing = catalogue.list_kind(kind)
-    _out.plain(str(listing if name is None else listing[name]))
+    _out().plain(str(listing if name is None else listing[name]))
 
 
 app = typer.Typer(help="Look into a scene, and write it to files.", no_args_is_help=True)
@@ -95,10 +95,10 @@ def check(
     from mast_zenoh.api import scenes
 
     prepared = scenes.named(scene, settings or (), seed=seed, frames=frames)
-    _out.plain(prepared.description)
+    _out().plain(prepared.description)
     if draw is not None:
         prepared.birdseye().savefig(draw)
-        _out.plain(f"frame 0: {draw}")
+        _out().plain(f"frame 0: {draw}")
 
 
 @app.command()
@@ -115,7 +115,7 @@ def convert(
     from mast_zenoh.api import scenes
 
     prepared = scenes.named(scene, settings or (), seed=seed, frames=frames)
-    _out.plain(f"{prepared.save(target)}: {len(prepared)} frames")
+    _out().plain(f"{prepared.save(target)}: {len(prepared)} frames")
 
 
 @app.command()
@@ -131,4 +131,4 @@ def detections(
 
     prepared = scenes.named(scene, settings or (), seed=seed, frames=frames)
     for file in prepared.save_detections(folder):
-        _out.plain(str(file))
+        _out().plain(str(file))

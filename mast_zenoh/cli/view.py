@@ -74,7 +74,7 @@ def _show_finished(folders: list[Path], frame: int | None, port: int, browser: b
         announce(server.url, browser)
         with suppress(KeyboardInterrupt):
             server.wait()
-    _out.print()
+    _out().print()
 
 
 @contextmanager
@@ -101,8 +101,8 @@ def viewer(wanted: bool) -> Iterator[Callable[[RunContext], None]]:
 
     try:
         yield prepare
-        if children and children[0].poll() is None and _out.is_terminal:
-            _out.print("the whole run is in the viewer now; Ctrl-C ends it", highlight=False)
+        if children and children[0].poll() is None and _out().is_terminal:
+            _out().print("the whole run is in the viewer now; Ctrl-C ends it", highlight=False)
             observers.wait(children[0])
     finally:
         for child in children:

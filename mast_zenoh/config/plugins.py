@@ -8,7 +8,6 @@ out; a name that may be that of its class is a PluginError.
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import importlib.util
 import inspect
@@ -170,6 +169,8 @@ def versions_of(distributions: Iterable[str]) -> dict[str, str]:
 @cache
 def _digest(packages: frozenset[str]) -> str:
     """12 hexadecimal digits of the files of packages."""
+    import hashlib  # slow to load
+
     digest = hashlib.blake2b(digest_size=6)
     for package in sorted(packages):
         spec = importlib.util.find_spec(package)

@@ -12,7 +12,7 @@ from rich.table import Table
 
 import mast_zenoh as testbed
 from mast_zenoh.cli import options
-from mast_zenoh.cli.options import PlainConsole
+from mast_zenoh.cli.console import PlainConsole
 from mast_zenoh.errors import DiskFull, HandlerFailed, MastError, RunFolderError
 from mast_zenoh.launch.run import EndedRun
 from mast_zenoh.scenario.reading import load

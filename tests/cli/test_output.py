@@ -9,7 +9,7 @@ from rich.console import Console
 
 from mast_zenoh.api import catalogue
 from mast_zenoh.cli import scenarios
-from mast_zenoh.cli.options import PlainConsole
+from mast_zenoh.cli.console import PlainConsole
 from mast_zenoh.show.tables.text_table import TextTable
 
 SHORT = ("--runtime", "inproc", "--frames", "8")
@@ -29,7 +29,7 @@ def test_the_wiring_fits_a_terminal_and_is_a_line_for_each_wire_elsewhere(mast, 
     _, plain, _ = mast(*scenario)
     clock = next(line for line in plain.splitlines() if line.startswith("  clock "))
     assert clock.endswith("adversary_1, adversary_2, coordinator")
-    monkeypatch.setattr(scenarios, "_out", PlainConsole(force_terminal=True, width=80))
+    monkeypatch.setattr(scenarios, "_out", lambda: PlainConsole(force_terminal=True, width=80))
     _, wrapped, _ = mast(*scenario)
     assert max(map(len, wrapped.splitlines())) <= 80
     assert wrapped.split() == plain.split()

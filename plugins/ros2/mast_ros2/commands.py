@@ -102,14 +102,14 @@ def between(
         print_line(LAST_LINE)
 
     counts = intercept_topic(
-        connection, topic, type_name, interposer, threading.Event(), odometry=odometry, ready=ready, warn=_err.warn
+        connection, topic, type_name, interposer, threading.Event(), odometry=odometry, ready=ready, warn=_err().warn
     )
     print_line("")
     print_line(f"messages: {counts['messages']}, changed: {counts['changed']}, published: {counts['published']}")
     for reason, number in counts["unattacked"].items():
-        _err.warn(f"{number} messages were passed on unchanged: {reason}")
+        _err().warn(f"{number} messages were passed on unchanged: {reason}")
     for reason, number in counts["refused"].items():
-        _err.warn(f"{number} messages were refused: {reason}")
+        _err().warn(f"{number} messages were refused: {reason}")
     if counts["failed"]:
         raise HandlerFailed(f"{counts['failed']}: it was on {topic}, and what it failed on was passed on as it was")
 
@@ -190,7 +190,7 @@ def _publish(
     reason = ": in lock-step as many as cost the run nothing; every_frame sends all" if played is not None else ""
     print_line(f"sent: {number} frames{reason}")
     for sentence in (*sentences(), *bridge.sentences()):
-        _err.warn(sentence)
+        _err().warn(sentence)
 
 
 @contextmanager
@@ -235,14 +235,14 @@ class _BridgeProcess:
                 self.interrupt()
             process.wait(_LAST_FRAMES_S)
         except subprocess.TimeoutExpired:
-            _err.warn(f"the bridge to ROS 2 has not sent the last frames within {_LAST_FRAMES_S:g} s")
+            _err().warn(f"the bridge to ROS 2 has not sent the last frames within {_LAST_FRAMES_S:g} s")
             observers.end(process)
         except KeyboardInterrupt:
             self.interrupt()
             raise
         else:
             if process.returncode and not self._interrupted:
-                _err.warn(f"the bridge to ROS 2 has ended with exit code {process.returncode}{self._since()}")
+                _err().warn(f"the bridge to ROS 2 has ended with exit code {process.returncode}{self._since()}")
         finally:
             self._reader.join()
 
@@ -297,7 +297,7 @@ def _wait_for(ready: threading.Event, context: RunContext) -> None:
     for _ in range(round(10 * _READY_S)):
         if ready.wait(0.1) or context.signals:
             return
-    _err.warn(f"the bridge to ROS 2 was not ready within {_READY_S:g} s: it lacks the first frames")
+    _err().warn(f"the bridge to ROS 2 was not ready within {_READY_S:g} s: it lacks the first frames")
 
 
 @contextmanager
