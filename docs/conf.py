@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -16,6 +17,7 @@ project, version = "mast-zenoh", mast_zenoh.__version__
 extensions = ["myst_parser", "sphinxcontrib.mermaid", "sphinx.ext.autodoc", "api_pages"]
 exclude_patterns = ["**.ipynb"]
 myst_heading_anchors = 6
+smartquotes = False  # `--option` keeps its dashes
 myst_fence_as_directive = ["mermaid"]
 mermaid_fullscreen, mermaid_height = False, "auto"
 autodoc_member_order = "bysource"
@@ -29,12 +31,17 @@ html_css_files = ["site.css"]
 
 # The kind of a page: how its name begins, or else the list that has it.
 KINDS = {
-    "Tutorials": ("tutorial-", ""),
+    "Tutorials": ("tutorial-", "tutorial-first-attack tutorial-defence tutorial-driving tutorial-own-data"),
     "How-to guides": ("how-to-", "troubleshooting"),
     "Explanation": ("explanation-", "known_limits roadmap"),
     "Results": ("results/", ""),
     "Reference": ("ref-", "glossary stability"),
 }
+
+
+def title_links(_: Sphinx, page: str, source: list[str]) -> None:
+    """Show the titles of pages where a link shows the name of its file: that helps only in a checkout."""
+    source[0] = re.sub(r"\[[\w-]+\.md\]\(((?:results/)?[\w-]+\.md(?:#[\w-]+)?)\)", r"[](\1)", source[0])
 
 
 def add_navigation(_: Sphinx, page: str, source: list[str]) -> None:
@@ -52,5 +59,6 @@ def add_navigation(_: Sphinx, page: str, source: list[str]) -> None:
 
 
 def setup(app: Sphinx) -> None:
+    app.connect("source-read", title_links)
     app.connect("source-read", add_navigation)
     app.connect("env-get-outdated", lambda *_: ["index"])  # there may be a new page

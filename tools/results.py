@@ -120,7 +120,7 @@ def measure(page: Page, part: Benchmark, *, quick: bool) -> Played:
     for name, each in values.items():
         median = statistics.pooled(lambda of, each=each: float(np.median(each[of])), len(each))
         rows.append(Row({"": name}, len(each), {part.heading: median}))
-    columns = {part.heading: shown(part.heading), "times": lambda row: str(row.trials)}
+    columns = {part.heading: shown(part.heading), "repetitions": lambda row: str(row.trials)}
     numbers = [{"study": part.program} | line for line in lines_of(*numbers_of_rows(rows))]
     table = table_of_rows(part.title, part.about, rows, columns)
     return Played(part.title, [], table, numbers, command("python", part.program, *map(place, paths), *options))

@@ -118,7 +118,7 @@ PAGES = (
             Part(
                 "Liars that know the defence",
                 "defences",
-                full=dict(preset="adaptive", budgets=(2.0,), scenes=junctions(8, 12), frames=100),
+                full=dict(preset="adaptive", placements="random", budgets=(2.0,), scenes=junctions(8, 12), frames=100),
                 quick=dict(
                     preset="adaptive",
                     adversaries="BlindSpot",
@@ -224,7 +224,7 @@ PAGES = (
             ),
             Benchmark(
                 "A frame of SUMO's traffic with driven cars",
-                "Medians over frames, on the wall clock; `frame` is the sum of the others.",
+                "Medians over frames, on the wall clock; `frame` is all of it, so about the sum of the others.",
                 "benchmarks/sumo.py",
                 ("--cars", "20"),
                 ("--cars", "20", "--frames", "30"),

@@ -172,7 +172,7 @@ def run(
     Keys:
     id, name: of the run; of the scenario
     status: `ok`, `handler_failures`, `node_lost`, `failed`, `interrupted` or `running`, see
-    docs/explanation-architecture.md#how-a-run-ends
+        docs/explanation-architecture.md#how-a-run-ends
     message: why it failed; empty: it did not
     runtime, mode, rate, security: `mesh` or `inproc`; `lockstep` or `realtime`; speed in real time; security level
     seed, frames: of all random draws; number of frames to play

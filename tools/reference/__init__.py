@@ -39,7 +39,7 @@ def parameter_table(parameters: Iterable[Parameter]) -> str:
 
 def linked(text: str) -> str:
     """A text of a docstring, in which names of pages become links."""
-    return re.sub(r"docs/([\w-]+\.md)", r"[\1](\1)", text)
+    return re.sub(r"docs/([\w-]+\.md)(#[\w-]+)?", r"[\1](\1\2)", text)
 
 
 def _cell(text: str) -> str:

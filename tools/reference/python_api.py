@@ -18,7 +18,7 @@ from mast_zenoh.runs.messages import WireMessage
 from mast_zenoh.runs.run import AgentMessages
 from mast_zenoh.show.figures.plots import Plots
 from mast_zenoh.study.interface import carry_out
-from reference import page, table
+from reference import linked, page, table
 from reference.exit_codes import first_line
 
 
@@ -66,8 +66,8 @@ def _signature(function: Callable[..., Any]) -> str:
 def _text(of: object) -> list[str]:
     """A docstring: paragraphs as they are, descriptions of parameters as a block."""
     first, *others = (inspect.getdoc(of) or "").split("\n\n")
-    lines = [*first.split("\n"), ""]
+    lines = [*linked(first).split("\n"), ""]
     for paragraph in others:
         block = re.match(r"[a-z_]\w*(, [a-z_]\w*)*:\s", paragraph)
-        lines += ["```text", *paragraph.split("\n"), "```", ""] if block else [*paragraph.split("\n"), ""]
+        lines += ["```text", *paragraph.split("\n"), "```", ""] if block else [*linked(paragraph).split("\n"), ""]
     return lines[:-1]

@@ -411,7 +411,7 @@ class V2V4RealScene(OPV2VScene):
 class MultiV2XScene(ScenarioFolder):
     """A town of Multi-V2X, simulated in CARLA and SUMO. See docs/how-to-data-sets.md.
 
-    path:             the folder of a town, with cav_<number>, rsu_<number> and map, or a folder with a single one
+    path:             the folder of a town, with `cav_<number>`, `rsu_<number>` and map, or a folder with one of these
     n_infrastructure: poles to use, the ones nearest to the ego in the first frame; None: all
     n_mobile:         cars besides the ego to use, the nearest ones; None: all
 

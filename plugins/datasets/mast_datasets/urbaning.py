@@ -221,7 +221,7 @@ _MAX_LABEL_ERROR_M = 2.0  # between the label of a car and its own state
 class UrbanIngV2X(DataSetScene):
     """A sequence of UrbanIng-V2X: one or two cars and the lidars of poles at a crossing.
 
-    path:             the folder of the data set, or dataset/<sequence> in it
+    path:             the folder of the data set, or `dataset/<sequence>` in it
     n_infrastructure: number of pole lidars to use, the first ones by name; None: all
     sequence:         name of the sequence; None: the only one
 

@@ -68,7 +68,7 @@ def test_five_sentences_say_what_the_table_does() -> None:
     assert table.lines[0][1] == "Ghost (2 of 8 poles, 4 cars, random)"
     assert table.lines[0][2] in first
     assert first.startswith(
-        "The best worst case of 3 defences has Cad: with Ghost (2 of 8 poles, 4 cars, random), 2.50 ["
+        "Cad has the best worst case of 3 defences: with Ghost (2 of 8 poles, 4 cars, random), 2.50 ["
     )
     assert f"no attack and no defence, of which the attack adds {table.lines[0][3]}." in first
     assert rivals == "No other row's interval overlaps with its own."
@@ -113,7 +113,7 @@ def test_where_no_defence_has_a_better_worst_case_than_none_the_first_sentence_s
     useless = {name: errors for name, errors in ERRORS.items() if name != "Cad"}
     first = scoreboard_tables(table_of(useless)).reading[0]
     assert first.startswith(
-        "The best worst case of 2 defences has no defence at all: with Flood (2 of 4 poles, random)"
+        "No defence at all has the best worst case of 2 defences: with Flood (2 of 4 poles, random)"
     )
 
 
