@@ -118,7 +118,14 @@ PAGES = (
             Part(
                 "Liars that know the defence",
                 "defences",
-                full=dict(preset="adaptive", placements="random", budgets=(2.0,), scenes=junctions(8, 12), frames=100),
+                full=dict(
+                    preset="adaptive",
+                    counts=(2,),
+                    placements="random",
+                    budgets=(2.0,),
+                    scenes=junctions(8, 12),
+                    frames=100,
+                ),
                 quick=dict(
                     preset="adaptive",
                     adversaries="BlindSpot",

@@ -21,7 +21,7 @@ from rich.progress import (
 from mast_zenoh import kernels, scenario, scenes
 from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.errors import ConfigurationError, MastError
+from mast_zenoh.errors import ConfigurationError, MastError, plural
 from mast_zenoh.integrity.calibration import refuse_calibration_data
 from mast_zenoh.scenario.timeline import attack_starts
 from mast_zenoh.study import execution, tables
@@ -55,7 +55,10 @@ def run(
     """
     console = console or Console(quiet=True)
     check_environment(console, jobs, cluster, record=record)
-    trials = plan(study, count=count, allow_failures=allow_failures)
+    with console.status(
+        f"checking {plural(len(study.configurations), 'configuration')} in {plural(len(study.scenes), 'scene')}"
+    ):
+        trials = plan(study, count=count, allow_failures=allow_failures)
     if study.has_own_kind:
         study.new_kind(range(study.seed, study.seed + count)).rehearse()
     store = Store.create(out, study, resume=resume)
