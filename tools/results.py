@@ -11,7 +11,6 @@ It goes on where it was interrupted: the studies are in build/studies, a folder 
 from __future__ import annotations
 
 import argparse
-import ast
 import csv
 import io
 import json
@@ -25,6 +24,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +46,7 @@ from mast_zenoh.study.tables import StudyResult
 
 ROOT = Path(__file__).parents[1]
 FOLDER, BUILT = ROOT / "docs" / "results", ROOT / "build"
+
 #: Arguments of a part that `mast study` has options for; others are parameters of the study's function.
 OPTIONS = ("trials", "frames", "seed")
 #: Sentences above a table.
@@ -93,14 +94,14 @@ def play(page: Page, part: Part, *, quick: bool, cluster: str | None) -> Played:
     places = {name: place(path) for name, path in part.paths.items()}
     words += [word for name, value in chosen.items() for word in ("--set", f"{name}={places.get(name, value)}")]
     apart = ", each at a junction of its own" * (study.per_trial.get("seed") == "scene_index")
-    facts, question = result.facts, ast.get_docstring(ast.parse(study.path.read_text("utf-8")))
+    facts = result.facts
     return Played(
         part.title,
         shortened(sentences_of(result)),
         table,
         [{"study": part.study} | line for line in numbers],
         command("mast", "study", part.study, *words),
-        f"{question} {facts.size}{apart}, {facts.frames or 'all'} frames each{', in $MAST_DATA' * bool(part.paths)}.",
+        f"{facts.size}{apart}, {facts.frames or 'all'} frames each{', in $MAST_DATA' * bool(part.paths)}.",
         f"{part.study} {' to '.join(dict.fromkeys(map(str, (facts.seeds[0], facts.seeds[-1]))))}",
         result.figures[part.figure],
     )
@@ -108,13 +109,15 @@ def play(page: Page, part: Part, *, quick: bool, cluster: str | None) -> Played:
 
 def measure(page: Page, part: Benchmark, *, quick: bool) -> Played:
     """Run a benchmark, or read what it wrote before; numbers differ from machine to machine."""
-    file = BUILT / "studies" / ("quick" if quick else "full") / f"{page.name} {part.title}.json"
+    file = BUILT / "studies" / ("quick" if quick else "full") / f"{page.name} {part.title} {commit()}.json"
     options = part.quick if quick else part.full
     paths = [part.path] if part.path else []
     arguments = [part.program, *map(data, paths), *options]
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
-        subprocess.run([sys.executable, *arguments, "--json", str(file)], cwd=ROOT, check=True)
+        unfinished = file.with_suffix(".part")
+        subprocess.run([sys.executable, *arguments, "--json", str(unfinished)], cwd=ROOT, check=True)
+        unfinished.replace(file)
     values = {name: np.array(each) for name, each in json.loads(file.read_text("utf-8")).items()}
     rows = []
     for name, each in values.items():
@@ -195,17 +198,23 @@ def lines_of(headings: Sequence[str], lines: Sequence[Sequence[object]]) -> Iter
 
 def origin(parts: Sequence[Played]) -> dict[str, str]:
     """Where the numbers of a page come from, by name."""
-    changed = git("status", "--porcelain", "--", "mast_zenoh", "nodes", "scenarios", "studies", "keyexpr_maps")
     lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines() if sys.platform == "linux" else []
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return {
-        "commit": git("rev-parse", "--short", "HEAD") + ", with changes" * bool(changed),
+        "commit": commit(),
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
         "processor": f"{(models or [platform.machine()])[0]}, {os.cpu_count()} cores",
         "load, when the page was written": f"{os.getloadavg()[0]:.1f}",
         "Python": platform.python_version(),
         "seeds": "; ".join(part.seeds for part in parts if part.seeds),
     }
+
+
+@cache
+def commit() -> str:
+    """Of what is played: asked before it, so that one that is made in the meantime is not named."""
+    changed = git("status", "--porcelain", "--", ":!docs")
+    return git("rev-parse", "--short", "HEAD") + ", with changes" * bool(changed)
 
 
 def git(*arguments: str) -> str:
@@ -283,6 +292,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown := {*chosen.pages} - {page.name for page in PAGES}:
         parser.error(f"no page {', '.join(sorted(unknown))}: expected some of {', '.join(page.name for page in PAGES)}")
     out = chosen.out or (BUILT / "results" if chosen.quick else FOLDER)
+    commit()
     failed = 0
     for page in PAGES:
         if chosen.pages and page.name not in chosen.pages:

@@ -63,13 +63,21 @@ def report(findings: Iterable[Diagnosis]) -> str:
 #: Absolute paths, also the part of a URL after its scheme; addresses of IPv4 and IPv6.
 _PATH = re.compile(r"(?<!\w)/[^\s'\",;)]*")
 _ADDRESS = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3}){3}(?![\w.])|(?<![\w:])[0-9a-fA-F]*:[0-9a-fA-F]*:[0-9a-fA-F:.]*")
+#: Between scheme, user, password, host and port of a URL: messages name some of them alone.
+_URL_PARTS = re.compile(r"://|[@:/]")
+#: The name of a Docker context, from the user's own files.
+_CONTEXT = re.compile(r"(context \")[^\"]+")
 #: Shorter values of variables, such as "1" and "C", tell nothing.
 _SHORTEST_VALUE = 4
 
 
 def without_personal_data(text: str) -> str:
     """A text without values of variables, names of the user and the host, paths, and addresses."""
-    personal = {value: f"${name}" for name, value in os.environ.items() if len(value) >= _SHORTEST_VALUE}
+    values = {name: value for name, value in os.environ.items() if len(value) >= _SHORTEST_VALUE}
+    personal = {
+        part: f"${name}" for name, value in values.items() for part in _URL_PARTS.split(value) if "://" in value
+    }
+    personal |= {value: f"${name}" for name, value in values.items()}
     personal |= {os.getcwd(): "<path>", os.path.expanduser("~"): "<path>"}
     host = platform.node()
     personal |= {host: "<host>", host.partition(".")[0]: "<host>"}
@@ -78,7 +86,7 @@ def without_personal_data(text: str) -> str:
     longest_first = sorted(filter(None, personal), key=len, reverse=True)
     words = re.compile(rf"(?<!\w)(?:{'|'.join(map(re.escape, longest_first))})(?!\w)")
     text = words.sub(lambda match: personal[match[0]], text)
-    return _ADDRESS.sub("<address>", _PATH.sub("<path>", text))
+    return _CONTEXT.sub(r"\1<name>", _ADDRESS.sub("<address>", _PATH.sub("<path>", text)))
 
 
 def _system() -> str:

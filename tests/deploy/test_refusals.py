@@ -247,16 +247,33 @@ def test_a_bug_report_has_what_is_needed_and_nothing_personal(tmp_path: Path, mo
     monkeypatch.chdir(home)
     monkeypatch.setattr(doctor.platform, "node", lambda: "workbench.example.org")
     monkeypatch.setattr(doctor.pwd, "getpwuid", lambda uid: SimpleNamespace(pw_name="mmajor"))
-    for name, value in {"HOME": str(home), "DOCKER_HOST": "tcp://engine.example.org:2375", "TOKEN": "s3cret"}.items():
+    for name, value in {
+        "HOME": str(home),
+        "DOCKER_HOST": "ssh://joe:pw77@engine.example.org:2375",
+        "TOKEN": "s3cret",
+    }.items():
         monkeypatch.setenv(name, value)
     told = (
         f"cannot connect to {os.environ['DOCKER_HOST']} as mmajor@workbench (workbench.example.org) with s3cret: "
         f"no file {home}/.docker/config.json, '/srv/data/mary', unix:///run/user/1000/docker.sock, "
+        'ssh -l joe -- engine.example.org, lookup engine.example.org with pw77, context "lab-of-mary", '
         "ssh://mary@10.1.2.3, tcp/192.0.2.7:7447, tcp/[fe80::1c2d:3]:7447, [::1]; engine 29.1.3, 3 GiB"
     )
     findings = [doctor.Diagnosis("python", True, "3.12.1"), doctor.Diagnosis("docker", None, told)]
     report = doctor.report(findings)
-    personal = ("mary", "mmajor", "workbench", "example.org", "s3cret", "192.0.2.7", "10.1.2.3", "fe80", "::1")
+    personal = (
+        "joe",
+        "pw77",
+        "mary",
+        "mmajor",
+        "workbench",
+        "example.org",
+        "s3cret",
+        "192.0.2.7",
+        "10.1.2.3",
+        "fe80",
+        "::1",
+    )
     assert not [word for word in (*personal, str(tmp_path), "/srv", "/run/") if word.lower() in report.lower()], report
     assert "ok python     3.12.1\n-- docker     cannot connect to $DOCKER_HOST as <user>@<host> (<host>)" in report
     assert "engine 29.1.3, 3 GiB" in report
