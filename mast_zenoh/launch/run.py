@@ -221,7 +221,7 @@ def run(
             "seed": resolved.seed,
             "frames": resolved.frames,
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
-            "command": command or [os.path.basename(sys.argv[0]), *sys.argv[1:]],
+            "command": command or [os.path.basename(sys.argv[0]).replace("__main__.py", "mast"), *sys.argv[1:]],
             "launcher": liveness.identity(),
             "versions": run_folder.versions() | plugins.versions_of(resolved.plugins.values()),
             "timings": {},

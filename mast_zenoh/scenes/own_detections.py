@@ -21,13 +21,24 @@ from mast_zenoh.scenes.base import Scene
 from mast_zenoh.scenes.making.assembly import DetectionColumns
 from mast_zenoh.scenes.recording import Recording
 
+#: m, of a coordinate: far beyond any map projection, and its square is far below the limit of a number; of an object's
+#: length: of a train.
+MAX_COORDINATE_M, MAX_SIZE_M = 1e8, 1000.0
+
 
 def lines_of_agents(
-    path: Path, frames: Sequence[int], agents: Sequence[int] | Sequence[str], key: str
+    path: Path,
+    frames: Sequence[int],
+    agents: Sequence[int] | Sequence[str],
+    key: str,
+    *,
+    others: bool = True,
+    later: bool = True,
 ) -> Iterator[tuple[str, int, int, list[Any]]]:
     """Yield the list under `key` for the requested frames and agents.
 
     Each comes with its position in the file, frame row and agent row. agents: as they are called in the file.
+    others, later: whether lines of other agents, and of frames before or after these, are left out, or refused
     Raises SceneError if a frame of an agent occurs twice or not at all.
     """
     frame_row = {frame: k for k, frame in enumerate(frames)}
@@ -52,6 +63,11 @@ def lines_of_agents(
                         f"is already in line {line_numbers[frame_agent]}"
                     )
                 line_numbers[frame_agent] = number
+                if not others and frame_agent[1] not in agent_row:
+                    close = nearest(str(frame_agent[1]), [str(agent) for agent in agents])
+                    raise SceneError(f"{place}: agent is {frame_agent[1]!r}, which the scene does not have{close}")
+                if not later and frame_agent[0] not in frame_row:
+                    raise SceneError(f"{place}: frame is {frame_agent[0]}, expected {frames[0]} to {frames[-1]}")
                 if frame_agent[0] in frame_row and frame_agent[1] in agent_row:
                     yield place, frame_row[frame_agent[0]], agent_row[frame_agent[1]], entries
     except (OSError, UnicodeDecodeError) as error:
@@ -75,18 +91,25 @@ def reason(error: Exception) -> str:
 
 
 def read_json_lines(
-    path: Path, frames: Sequence[int], agents: Sequence[int] | Sequence[str], sensor_rotation: Floats
+    path: Path,
+    frames: Sequence[int],
+    agents: Sequence[int] | Sequence[str],
+    sensor_rotation: Floats,
+    *,
+    others: bool = True,
+    later: bool = True,
 ) -> DetectionColumns:
     """The detections of a recording, in the order of the file.
 
     frames: F frame numbers, and agents: A agents, as they are called in the file
     sensor_rotation: (F, A, 3, 3) active, sensor to world; needed for detections that have an attitude in the sensor's
     frame instead of a yaw
+    others, later: see `lines_of_agents`
 
     Raises SceneError with the line.
     """
     rows: dict[tuple[int, int], tuple[Detections, Ints]] = {}
-    for place, frame, agent, data in lines_of_agents(path, frames, agents, "detections"):
+    for place, frame, agent, data in lines_of_agents(path, frames, agents, "detections", others=others, later=later):
         rotation = sensor_rotation[frame, agent]
         try:
             rows[frame, agent] = _detections(data, rotation)
@@ -107,10 +130,13 @@ def _detections(data: Sequence[Mapping[str, Any]], sensor_rotation: Floats) -> t
     for name, values in (("x, y, z, l, w, h", numbers), ("yaw", yaw), ("covariance", covariance)):
         if not np.isfinite(values).all():
             raise ValueError(f"{name} contains a number that is not finite")
-    if n and numbers[:, 3:].min() <= 0:
-        raise ValueError("l, w, h: expected more than 0")
-    if n and (score.min() < 0 or score.max() > 1):
-        raise ValueError("score: expected 0 to 1")
+    for name, values, valid, expected in (
+        ("x, y, z", numbers[:, :3], np.abs(numbers[:, :3]) <= MAX_COORDINATE_M, f"at most {MAX_COORDINATE_M:g} m"),
+        ("l, w, h", sizes := numbers[:, 3:], (sizes > 0) & (sizes <= MAX_SIZE_M), f"above 0, at most {MAX_SIZE_M:g} m"),
+        ("score", score, (score >= 0) & (score <= 1), "0 to 1"),
+    ):
+        if not valid.all():
+            raise ValueError(f"{name}: found {values[~valid][0]:g}, expected {expected}")
     classes = np.array([class_of(str(d.get("class", "unknown"))) for d in data], np.uint8)
     truth_id = np.array([int(d.get("gt", -1)) for d in data], np.int64)
     return Detections(numbers[:, :3], numbers[:, 3:], yaw, score, classes, covariance), truth_id
@@ -168,7 +194,8 @@ class OwnDetections(Scene):
         if self.path.suffix == ".jsonl":
             mounts = np.stack([agent.sensor.mount_rotation for agent in recording.agents])
             numbers = range(self.first_frame, self.first_frame + count)
-            return read_json_lines(self.path, numbers, names, recording.agent_rotation @ mounts)
+            rotation = recording.agent_rotation @ mounts
+            return read_json_lines(self.path, numbers, names, rotation, others=False, later=shortened)
         if self.path.suffix == ".parquet":
             rows = read_parquet(self.path, names, self.first_frame)
         elif self.path.is_dir():
@@ -247,8 +274,8 @@ class DetectionRows:
         for name, valid, expected in (
             ("frame", (self.frame >= 0) & (self.frame < frames), f"0 to {frames - 1}"),
             ("agent", (self.agent >= 0) & (self.agent < agents), f"0 to {agents - 1}"),
-            ("position", np.isfinite(self.position).all(axis=1), "finite numbers, m"),
-            ("size", (np.isfinite(self.size) & (self.size > 0)).all(axis=1), "finite numbers above 0, m"),
+            ("position", (np.abs(self.position) <= MAX_COORDINATE_M).all(axis=1), f"at most {MAX_COORDINATE_M:g} m"),
+            ("size", ((self.size > 0) & (self.size <= MAX_SIZE_M)).all(axis=1), f"above 0, at most {MAX_SIZE_M:g} m"),
             ("yaw", np.isfinite(self.yaw), "a finite number, rad"),
             ("score", (self.score >= 0) & (self.score <= 1), "0 to 1"),
             ("class_id", self.class_id < len(CLASSES), f"0 to {len(CLASSES) - 1}"),

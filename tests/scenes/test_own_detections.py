@@ -167,7 +167,8 @@ def test_any_scene_takes_detections_in_a_scenario(saved: Path, whole: Recording,
         ("inf,2,0,0,0,0,1,1,1,1,1,1,1,0,0", r"line 2.*frame"),
         ("0,2,0,0,0,0,nan,1,1,1,1,1,1,0,0", "line 2: score"),
         ("0,2,0,0,0,0,1,1,1,1,inf,1,1,0,0", "line 2: position"),
-        ("0,2,0,0,0,0,1,0,1,1,1,1,1,0,0", r"2.*finite numbers"),
+        ("0,2,0,0,0,0,1,0,1,1,1,1,1,0,0", r"line 2: size.*above 0"),
+        ("0,2,0,0,0,0,1,1,1,4500,1,1,1,0,0", r"line 2: size.*1000"),
         ("-1,2,0,0,0,0,1,1,1,1,1,1,1,0,0", r"2: frame.*-1"),
         ("0,2,0,0,0,0,1,1,1,1,1,1,1,nan,0", "line 2: yaw"),
     ],
@@ -188,6 +189,23 @@ def test_a_missing_file_is_refused_by_name(saved: Path, whole: Recording, tmp_pa
     for missing in ("d.parquet", "d.jsonl", "nosuch"):
         with pytest.raises(SceneError, match=missing):
             replayed(saved, tmp_path / missing)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (dict(frame=0, agent="mobile1", detections=[]), r"agent is 'mobile1'.*mobile_1"),
+        (dict(frame=999, agent="ego", detections=[]), "frame is 999, expected 0 to"),
+        (dict(frame=0, agent="ego", detections=[dict(x=0, y=0, z=0, l=4500, w=1, h=1, yaw=0)]), r"l, w, h.*4500.*1000"),
+        (dict(frame=0, agent="ego", detections=[dict(x=1e9, y=0, z=0, l=4, w=1, h=1, yaw=0)]), r"x, y, z.*1e\+09"),
+    ],
+)
+def test_a_line_of_another_scene_or_unit_is_refused_with_its_number(line, message, saved, whole, tmp_path):
+    path = write_lines(tmp_path / "d.jsonl", whole)
+    lines = [text for text in path.read_text().splitlines() if json.loads(text)["frame"] or line["agent"] != "ego"]
+    path.write_text("\n".join([*lines, json.dumps(line)]))
+    with pytest.raises(SceneError, match=f"d.jsonl: line {len(lines) + 1}: {message}"):
+        replayed(saved, path)
 
 
 @pytest.mark.parametrize(

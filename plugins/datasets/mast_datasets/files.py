@@ -28,7 +28,7 @@ from yaml.constructor import ConstructorError, SafeConstructor
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
-from mast_zenoh.scenes.own_detections import MAX_FILE_BYTES, read_text
+from mast_zenoh.scenes.own_detections import MAX_COORDINATE_M, MAX_FILE_BYTES, MAX_SIZE_M, read_text
 
 #: Limit on one line of a text file, bytes.
 MAX_LINE = 100_000
@@ -130,10 +130,6 @@ _SHORT = reprlib.Repr()  # also of a value that is nested deeply, or that aliase
 _SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = _MAX_SHOWN
 _MAX_SHEAR = 1e-2  # of a rotation matrix, per element of its product with its transpose; files round
 
-#: Limit on a coordinate, m: far beyond any map projection, and its square is far below the limit of a number.
-MAX_COORDINATE_M = 1e8
-#: Limit on the length of an object, m: of a train.
-MAX_SIZE_M = 1000.0
 #: Types of values for `Element.read`, beside those of Python.
 Coordinate = Annotated[float, Meta(ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
 Point = tuple[Coordinate, Coordinate, Coordinate]

@@ -26,11 +26,12 @@ import msgpack
 import numpy as np
 from msgspec import Meta
 
-from mast_datasets.files import MAX_SIZE_M, Element, XmlHandler, read_xml
+from mast_datasets.files import Element, XmlHandler, read_xml
 from mast_datasets.sumo_files import VehicleType, type_of_class
 from mast_datasets.sumo_process import MAX_MESSAGE
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.errors import ConfigurationError, SceneError, nearest
+from mast_zenoh.scenes.own_detections import MAX_COORDINATE_M, MAX_SIZE_M
 
 #: Roots of configurations.
 ROOTS = ("configuration", "sumoConfiguration")
@@ -222,7 +223,6 @@ class _ElementCopy(XmlHandler):
 INSTALL = "SUMO is not installed, expected pip install 'mast-zenoh[sumo]'"
 _MAX_VEHICLES = 20_000  # at one time; the others wait
 _MAX_SHOWN = 600  # characters of SUMO's messages
-_MAX_COORDINATE_M = 1e8
 _MAX_SPEED = 200.0
 #: s that requests may take, of which the first reads the network; and all others.
 _LIMITS_S, _STEP_S = {"start": 120, "advance": 600}, 60
@@ -338,11 +338,11 @@ class SumoSimulation:
         names = [*answer["vehicles"], *answer["persons"]]
         state = np.frombuffer(answer["state"]).reshape(-1, 4)
         person = np.arange(len(names)) >= len(answer["vehicles"])
-        most = [_MAX_COORDINATE_M, _MAX_COORDINATE_M, np.finfo(float).max, _MAX_SPEED]
+        most = [MAX_COORDINATE_M, MAX_COORDINATE_M, np.finfo(float).max, _MAX_SPEED]
         for row in np.flatnonzero(~(np.abs(state) <= most).all(axis=1)):
             raise SceneError(
                 f"{self._path}: {names[row]}: found x, y, angle and speed {state[row].tolist()}, expected finite ones, "
-                f"at most {_MAX_COORDINATE_M:g} m and {_MAX_SPEED:g} m/s"
+                f"at most {MAX_COORDINATE_M:g} m and {_MAX_SPEED:g} m/s"
             )
         around = {car: _right_of_way(*told) for car, told in answer["around"].items()}
         return Present(names, state[:, :2], state[:, 2], state[:, 3], person, around)
