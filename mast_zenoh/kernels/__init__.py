@@ -35,6 +35,7 @@ MODULES = (
     "medians",
     "pairs",
     "rays",
+    "scans",
     "tracks",
     "uper_decoding",
     "uper_encoding",

@@ -35,8 +35,10 @@ from mast_zenoh.integrity.visibility import Tolerances
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.layout import LAYOUTS, limit_of
 from mast_zenoh.messages.schemas import SCHEMAS, Header
-from mast_zenoh.sensing import LidarSensor, Walls, lidar_points
+from mast_zenoh.sensing import LidarSensor, Walls, lidar_points, scan
+from mast_zenoh.sensing.beams import Beams
 from mast_zenoh.sensing.raycast import PlacedSensor
+from mast_zenoh.sensing.shapes import Parts
 from mast_zenoh.tracking import SensorView, association, classes, tracks
 from mast_zenoh.tracking.existence import STAGES_S
 from mast_zenoh.v2x import cam, cpm
@@ -380,6 +382,26 @@ def encoded(random, n, m):
 
 
 #: For each kernel its arguments, with n rows and m others (both may be 0).
+def scanned(random, n, m):
+    """What a scan of n objects and some walls casts, by a lidar that moves."""
+    size = random.uniform(0.3, 5.0, (n, 3))
+    objects = scan.Moving(
+        places(random, n), random.normal(0, 5, (n, 3)), random.uniform(-9, 9, n), random.normal(0, 1, n)
+    )
+    lidar = scan.Moving(
+        random.normal(0, 3, (1, 3)), random.normal(0, 5, (1, 3)), random.normal(0, 2, 1), random.normal(0, 1, 1)
+    )
+    turn = np.radians(random.choice([90.0, 360.0]))
+    azimuth = np.linspace(-turn / 2, turn / 2, 40, endpoint=False)
+    beams = Beams(azimuth, np.linspace(-0.5, 0.3, 1 + m), random.normal(0, 0.05, 1 + m), 0.02 * azimuth, 0.0, 60.0)
+    walls = Walls.of_buildings((random.normal(0, 20, (4, 2)),), np.array([5.0]))
+    mount, arguments = rotation_from_yaw_pitch(0.1, random.choice([0.0, 0.4])), []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scan, "nearest_surfaces", lambda *given: arguments.extend(given) or (None, None, None))
+        scan.cast(beams, lidar, mount, objects, Parts.of(random.integers(0, 7, n), size), -2.0, walls)
+    return tuple(arguments)
+
+
 ARGUMENTS = {
     "begin_step": lambda r, n, m: (table(r, n), 0.1, 0.09, 30.0, 2.0),
     "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
@@ -475,6 +497,7 @@ ARGUMENTS = {
     ),
     "occluded_by_walls": lambda r, n, m: (r.normal(0, 9, 3), r.normal(0, 20, (n, 3)), *buildings(r, m)[:3]),
     "inside_outlines": lambda r, n, m: (r.normal(0, 20, (n, 3)), *(walls := buildings(r, m))[:2], walls[3]),
+    "nearest_surfaces": scanned,
     "packed_columns": packed,
     "split_columns": split,
     "split_header": split_header,

@@ -1,0 +1,102 @@
+"""The beams of lidars: their directions and times, of common models and of any `LidarSensor`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Floats
+from mast_zenoh.sensing.sensors import LidarSensor
+
+
+@dataclass(frozen=True, eq=False)
+class Beams:
+    """The beams of one turn of a lidar, or of one pass over its sector: c channels fire at each of m azimuths.
+
+    azimuth:     (m,) rad, ascending, counter-clockwise from x
+    elevation:   (c,) rad, ascending
+    offset:      (c,) rad, added to the azimuth of a channel
+    time_s:      (m,) s, of each azimuth, from the time of the scan, which is when the lidar looks along x
+    min_range_m, max_range_m: of a return
+    """
+
+    azimuth: Floats
+    elevation: Floats
+    offset: Floats
+    time_s: Floats
+    min_range_m: float
+    max_range_m: float
+
+    @classmethod
+    def of(cls, lidar: LidarSensor, period_s: float = 0.1, min_range_m: float = 0.5) -> Beams:
+        """The beams of a lidar whose turns take `period_s`; 0: all at once."""
+        azimuth, elevation = lidar.azimuths, lidar.elevations
+        time_s = azimuth * (period_s / (2.0 * np.pi))
+        return cls(azimuth, elevation, np.zeros(len(elevation)), time_s, min_range_m, lidar.max_range_m)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """m azimuths, c channels."""
+        return len(self.azimuth), len(self.elevation)
+
+    def directions(self) -> Floats:
+        """(m, c, 3) unit vectors in the frame of the lidar."""
+        azimuth = self.azimuth[:, None] + self.offset
+        flat = np.cos(self.elevation)
+        rise = np.broadcast_to(np.sin(self.elevation), azimuth.shape)
+        return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), rise], axis=-1)
+
+
+@dataclass(frozen=True)
+class LidarModel:
+    """A lidar as its data sheet describes it.
+
+    elevation_deg: deg, of the channels, ascending;  offset_deg: deg, of their azimuths; (): none
+    azimuths: in a turn, or in the sector of `sector_deg` degrees;  range_m: shortest and longest
+    source: of these numbers
+    """
+
+    elevation_deg: tuple[float, ...]
+    azimuths: int
+    range_m: tuple[float, float]
+    source: str
+    offset_deg: tuple[float, ...] = ()
+    sector_deg: float = 360.0
+
+    def beams(self, period_s: float = 0.1) -> Beams:
+        """The beams of a turn that takes `period_s`; 0: all at once."""
+        step = np.radians(self.sector_deg) / self.azimuths
+        azimuth = step * (np.arange(self.azimuths) + 0.5) - np.radians(self.sector_deg) / 2.0
+        elevation = np.radians(self.elevation_deg)
+        offset = np.radians(self.offset_deg) if self.offset_deg else np.zeros(len(elevation))
+        return Beams(azimuth, elevation, offset, azimuth * (period_s / (2.0 * np.pi)), *self.range_m)
+
+
+def _even(low: float, high: float, count: int) -> tuple[float, ...]:
+    return tuple(np.linspace(low, high, count).tolist())
+
+
+#: deg, of the VLP-32C: elevation and azimuth of each channel.
+_VLP_32C = (
+    (-25.0, 1.4), (-15.639, -1.4), (-11.31, 1.4), (-8.843, -1.4), (-7.254, 1.4), (-6.148, -1.4), (-5.333, 4.2),
+    (-4.667, 1.4), (-4.0, -1.4), (-3.667, -4.2), (-3.333, 4.2), (-3.0, 1.4), (-2.667, -1.4), (-2.333, -4.2),
+    (-2.0, 4.2), (-1.667, 1.4), (-1.333, -1.4), (-1.0, -4.2), (-0.667, 4.2), (-0.333, 1.4), (0.0, -1.4),
+    (0.333, -4.2), (0.667, 4.2), (1.0, 1.4), (1.333, -1.4), (1.667, -4.2), (2.333, 1.4), (3.333, -1.4),
+    (4.667, 1.4), (7.0, -1.4), (10.333, 1.4), (15.0, -1.4),
+)  # fmt: skip
+
+#: Common lidars at 10 turns a second, by name.
+MODELS = {
+    "VLP-16": LidarModel(_even(-15.0, 15.0, 16), 1800, (0.5, 100.0), "Velodyne 63-9229"),
+    "VLP-32C": LidarModel(
+        tuple(each for each, _ in _VLP_32C), 1800, (0.5, 200.0), "Velodyne 63-9325", tuple(each for _, each in _VLP_32C)
+    ),
+    "HDL-32E": LidarModel(_even(-30.67, 10.67, 32), 1800, (0.9, 100.0), "Velodyne 97-0038"),
+    "HDL-64E": LidarModel(
+        (*_even(-24.33, -8.83, 32), *_even(-8.33, 2.0, 32)), 2083, (0.9, 120.0), "Velodyne 63-HDL64ES3"
+    ),
+    "XT32": LidarModel(_even(-16.0, 15.0, 32), 2000, (0.05, 120.0), "Hesai PandarXT-32"),
+    "AT128": LidarModel(_even(-12.5, 12.9, 128), 1200, (0.5, 200.0), "Hesai AT128", sector_deg=120.0),
+    "OS1-128": LidarModel(_even(-22.5, 22.5, 128), 1024, (0.3, 120.0), "Ouster OS1"),
+}
