@@ -239,7 +239,7 @@ def test_files_that_are_not_scenes_are_refused_by_name(tmp_path: Path) -> None:
         ("detections", {"detections": [{"x": 1.0}]}, "line 1: 'y' is missing"),
         ("detections", {"detections": None}, "line 1: detections is not a list"),
         ("detections", {"detections": [{"x": float("nan")}]}, "line 1: NaN is not a finite"),
-        ("detections", {"detections": [BOX | {"h": 0.0, "yaw": 0.0}]}, "line 1: l, w, h: exp"),
+        ("detections", {"detections": [BOX | {"h": 0.0, "yaw": 0.0}]}, "line 1: l, w, h: found 0"),
         ("detections", {"agent": 1}, "line 2: frame 4 of agent 1 is already in line 1"),
         ("detections", {"frame": 9}, "no line for frame 4, agent 0"),
         ("visibility", {"objects": [[77, 5]]}, "line 1: object 77 is not in the scene"),
