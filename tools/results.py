@@ -46,7 +46,6 @@ from mast_zenoh.study.tables import StudyResult
 
 ROOT = Path(__file__).parents[1]
 FOLDER, BUILT = ROOT / "docs" / "results", ROOT / "build"
-
 #: Arguments of a part that `mast study` has options for; others are parameters of the study's function.
 OPTIONS = ("trials", "frames", "seed")
 #: Sentences above a table.

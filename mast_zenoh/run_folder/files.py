@@ -319,13 +319,10 @@ def versions() -> dict[str, str]:
     """Versions of Python, platform, kernels and packages, and a digest of the sources."""
     from importlib.metadata import version  # slow to load, as is NumPy
 
-    from mast_zenoh import kernels
-    from mast_zenoh.version import version_string
+    from mast_zenoh import version as release
 
-    packages = ("eclipse-zenoh", "numpy", "scipy", "msgpack", "filterpy", "mcap")
-    host = {"python": platform.python_version(), "platform": platform.platform(), "kernels": kernels.USED}
-    host["mast-zenoh"] = version_string()
-    return host | {package: version(package) for package in packages}
+    others = {package: version(package) for package in ("filterpy", "mcap")}
+    return release.versions() | {"platform": platform.platform()} | others
 
 
 _NODE: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""The beams of lidars: their directions and times, of common models and of any `LidarSensor`."""
+"""The beams of lidars: their directions and times, of common models."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
-from mast_zenoh.sensing.sensors import LidarSensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,17 +27,20 @@ class Beams:
     min_range_m: float
     max_range_m: float
 
-    @classmethod
-    def of(cls, lidar: LidarSensor, period_s: float = 0.1, min_range_m: float = 0.5) -> Beams:
-        """The beams of a lidar whose turns take `period_s`; 0: all at once."""
-        azimuth, elevation = lidar.azimuths, lidar.elevations
-        time_s = azimuth * (period_s / (2.0 * np.pi))
-        return cls(azimuth, elevation, np.zeros(len(elevation)), time_s, min_range_m, lidar.max_range_m)
+    @property
+    def step(self) -> float:
+        """rad, between two azimuths."""
+        return float(self.azimuth[1] - self.azimuth[0]) if len(self.azimuth) > 1 else 2.0 * np.pi
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """m azimuths, c channels."""
-        return len(self.azimuth), len(self.elevation)
+    def turn(self) -> int:
+        """How many azimuths a full turn has, or would have."""
+        return max(round(2.0 * np.pi / self.step), len(self.azimuth))
+
+    @property
+    def longest_s(self) -> float:
+        """s, between the time of the scan and its first or last beam."""
+        return float(np.abs(self.time_s).max(initial=0.0))
 
     def directions(self) -> Floats:
         """(m, c, 3) unit vectors in the frame of the lidar."""

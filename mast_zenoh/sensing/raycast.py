@@ -142,14 +142,7 @@ def _columns(lidar: LidarSensor, corners: Floats, nearest: Floats) -> tuple[Ints
     around = high - low >= np.pi  # the sensor's axis goes through the box: any azimuth may hit it
     low, high = np.where(around, -np.pi, low), np.where(around, np.pi, high)
 
-    # Elevation from height and distance: sin(elevation) = z / d, with d between nearest and farthest.
-    farthest = np.linalg.norm(corners, axis=2).max(axis=1)
-    z_low, z_high = corners[..., 2].min(axis=1), corners[..., 2].max(axis=1)
-    near = np.maximum(nearest, 1e-6)
-    sin_low = np.clip(z_low / np.where(z_low < 0, near, farthest), -1, 1)
-    sin_high = np.clip(z_high / np.where(z_high > 0, near, farthest), -1, 1)
-    first = np.searchsorted(elevations, np.arcsin(sin_low) - 1e-9)
-    last = np.searchsorted(elevations, np.arcsin(sin_high) + 1e-9, side="right")
+    first, last = channel_window(elevations, corners, nearest, 1e-9)
 
     # Beam k is at azimuths[0] + k * step, with k modulo a full turn; beams outside the sector are dropped.
     step = np.radians(lidar.azimuth_step_deg)
@@ -162,6 +155,19 @@ def _columns(lidar: LidarSensor, corners: Floats, nearest: Floats) -> tuple[Ints
     inside = azimuth < len(azimuths)
     box, azimuth = box[inside], azimuth[inside]
     return box, azimuth, np.stack([first, last], axis=1)[box]
+
+
+def channel_window(elevations: Floats, corners: Floats, nearest: Floats, margin: float) -> tuple[Ints, Ints]:
+    """(n,) channels from, and (n,) to, that what is within `corners` can meet: sin(elevation) is z over a distance.
+
+    elevations: (c,) rad, ascending;  corners: (n, 8, 3) in the sensor frame;  nearest: (n,) m;  margin: rad
+    """
+    farthest, near = np.linalg.norm(corners, axis=2).max(axis=1), np.maximum(nearest, 1e-6)
+    low, high = corners[..., 2].min(axis=1), corners[..., 2].max(axis=1)
+    sin_low = np.clip(low / np.where(low < 0, near, farthest), -1, 1)
+    sin_high = np.clip(high / np.where(high > 0, near, farthest), -1, 1)
+    first = np.searchsorted(elevations, np.arcsin(sin_low) - margin)
+    return first, np.searchsorted(elevations, np.arcsin(sin_high) + margin, side="right")
 
 
 def _hits(
@@ -309,7 +315,7 @@ class SweepRays:
         bearing = np.arctan2(directions[:, 1], directions[:, 0])
         order = np.argsort(bearing)
         start, end = walls.start - position[:2], walls.end - position[:2]
-        for row in np.flatnonzero(_distance_to(start, end) <= self.lidar.max_range_m):
+        for row in np.flatnonzero(distance_to(start, end) <= self.lidar.max_range_m):
             rays = order[_within(bearing[order], start[row], end[row])]
             distance = _distance_along(directions[rays], start[row], end[row], walls.top[row] - position[2])
             depth[rays] = np.minimum(depth[rays], distance)
@@ -336,7 +342,7 @@ class SweepRays:
         return np.ascontiguousarray(cells.T)
 
 
-def _distance_to(start: Floats, end: Floats) -> Floats:
+def distance_to(start: Floats, end: Floats) -> Floats:
     """(w,) m from the origin to segments (w, 2)."""
     span = end - start
     length = np.maximum(np.einsum("ij,ij->i", span, span), 1e-12)

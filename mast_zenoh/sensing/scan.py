@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.geometry import box_corners, rotation_from_yaw, wrap_angle
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.kernels import kernel
 from mast_zenoh.sensing.beams import Beams
-from mast_zenoh.sensing.raycast import Walls
+from mast_zenoh.sensing.raycast import Walls, channel_window, distance_to
 from mast_zenoh.sensing.shapes import Parts
 
 #: What a beam met that is no object, in `Scan.source`.
@@ -237,29 +238,26 @@ def _object_windows(beams: Beams, lidar: Moving, mount: Floats, objects: Moving,
     half, low, high = _extent(parts)
     rows = np.flatnonzero(np.arange(len(half)) != own)
     half, low, high = half[rows], low[rows], high[rows]
-    longest = float(np.abs(beams.time_s).max(initial=0.0))
-    moved = np.linalg.norm(objects.velocity[rows] - lidar.velocity[0], axis=1) * longest
-    moved += np.abs(objects.turn[rows]) * longest * np.linalg.norm(half, axis=1) + _MARGIN_M
+    moved = np.linalg.norm(objects.velocity[rows] - lidar.velocity[0], axis=1) * beams.longest_s
+    moved += np.abs(objects.turn[rows]) * beams.longest_s * np.linalg.norm(half, axis=1) + _MARGIN_M
     c, s = np.cos(objects.yaw[rows]), np.sin(objects.yaw[rows])
     offset = objects.position[rows] - lidar.position[0]
     half, low, high = half + moved[:, None], low - moved, high + moved
     sides = np.stack([c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0]], axis=1)
     gap = np.column_stack([np.abs(sides) - half, np.maximum(low + offset[:, 2], -high - offset[:, 2])])
     nearest = np.linalg.norm(np.maximum(gap, 0.0), axis=1)
-    x, y = half[:, :1] * (-1, -1, -1, -1, 1, 1, 1, 1), half[:, 1:] * (-1, -1, 1, 1, -1, -1, 1, 1)
-    z = np.stack([low, high] * 4, axis=1)
-    corners = np.stack([c[:, None] * x - s[:, None] * y, s[:, None] * x + c[:, None] * y, z], axis=2)
-    return _windows(beams, lidar, mount, rows, corners + offset[:, None], nearest)
+    middle = offset + np.column_stack([np.zeros_like(half), (low + high) / 2])
+    corners = box_corners(middle, np.column_stack([2 * half, high - low]), objects.yaw[rows])
+    return _windows(beams, lidar, mount, rows, corners, nearest)
 
 
 def _wall_windows(beams: Beams, lidar: Moving, mount: Floats, walls: Walls, ground_m: float) -> Ints:
     """The windows of walls, which are met above the ground only."""
-    moved = float(np.linalg.norm(lidar.velocity[0]) * np.abs(beams.time_s).max(initial=0.0)) + _MARGIN_M
+    moved = float(np.linalg.norm(lidar.velocity[0])) * beams.longest_s + _MARGIN_M
     start, end = walls.start - lidar.position[0, :2], walls.end - lidar.position[0, :2]
     span = end - start
     length = np.maximum(np.linalg.norm(span, axis=1), 1e-9)[:, None]
-    share = np.clip(-np.einsum("ij,ij->i", start, span)[:, None] / length**2, 0.0, 1.0)
-    nearest = np.maximum(np.linalg.norm(start + share * span, axis=1) - moved, 0.0)
+    nearest = np.maximum(distance_to(start, end) - moved, 0.0)
     along = span / length * moved
     left = np.stack([-along[:, 1], along[:, 0]], axis=1)
     around = [start - along - left, start - along + left, end + along - left, end + along + left]
@@ -288,19 +286,16 @@ def _windows(beams: Beams, lidar: Moving, mount: Floats, rows: Ints, corners: Fl
     """
     kept = np.flatnonzero(nearest <= beams.max_range_m)
     rows, nearest = rows[kept], nearest[kept]
-    cosine, sine = np.cos(lidar.yaw[0]), np.sin(lidar.yaw[0])
-    rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ mount
+    rotation = rotation_from_yaw(float(lidar.yaw[0])) @ mount
     corners = corners[kept] @ rotation
-    turned = abs(float(lidar.turn[0])) * float(np.abs(beams.time_s).max(initial=0.0))
+    turned = abs(float(lidar.turn[0])) * beams.longest_s
     tilted = float(np.linalg.norm(rotation[2, :2]))  # then a turn changes elevations, too
     margin = 2.0 * turned + float(np.abs(beams.offset).max(initial=0.0)) + _MARGIN_RAD
     first, count = _azimuths(beams, corners, margin)
-    channels = _channels(beams, corners, nearest, turned * tilted + _MARGIN_RAD)
-    step = float(beams.azimuth[1] - beams.azimuth[0]) if len(beams.azimuth) > 1 else 2.0 * np.pi
-    turn = max(round(2.0 * np.pi / step), len(beams.azimuth))
-    first = first % turn
-    before = np.column_stack([rows, first, np.minimum(first + count, turn), channels])
-    after = np.column_stack([rows, np.zeros_like(first), np.maximum(first + count - turn, 0), channels])
+    low, high = channel_window(beams.elevation, corners, nearest, turned * tilted + _MARGIN_RAD)
+    first = first % beams.turn
+    before = np.column_stack([rows, first, np.minimum(first + count, beams.turn), low, high])
+    after = np.column_stack([rows, np.zeros_like(first), np.maximum(first + count - beams.turn, 0), low, high])
     windows = np.concatenate([before, after])
     windows[:, 2] = np.minimum(windows[:, 2], len(beams.azimuth))
     some = (windows[:, 1] < windows[:, 2]) & (windows[:, 3] < windows[:, 4])
@@ -311,21 +306,9 @@ def _azimuths(beams: Beams, corners: Floats, margin: float) -> tuple[Ints, Ints]
     """(n,) the first azimuth, and how many from there on."""
     centre = corners.mean(axis=1)
     bearing = np.arctan2(centre[:, 1], centre[:, 0])
-    offset = np.arctan2(corners[..., 1], corners[..., 0]) - bearing[:, None]
-    offset = (offset + np.pi) % (2.0 * np.pi) - np.pi
+    offset = wrap_angle(np.arctan2(corners[..., 1], corners[..., 0]) - bearing[:, None])
     low, high = offset.min(axis=1) - margin, offset.max(axis=1) + margin
     around = high - low >= np.pi  # the axis of the lidar may go through it
-    step = float(beams.azimuth[1] - beams.azimuth[0]) if len(beams.azimuth) > 1 else 2.0 * np.pi
-    first = np.ceil((bearing + low - beams.azimuth[0]) / step).astype(np.int64)
-    count = np.floor((bearing + high - beams.azimuth[0]) / step).astype(np.int64) - first + 1
-    turn = max(round(2.0 * np.pi / step), len(beams.azimuth))
-    return np.where(around, 0, first), np.where(around, turn, np.clip(count, 0, turn))
-
-
-def _channels(beams: Beams, corners: Floats, nearest: Floats, margin: float) -> Ints:
-    """(n, 2) channels from, and to: the sine of an elevation is z over a distance between the nearest and farthest."""
-    farthest, near = np.linalg.norm(corners, axis=2).max(axis=1), np.maximum(nearest, 1e-6)
-    low, high = corners[..., 2].min(axis=1), corners[..., 2].max(axis=1)
-    down = np.arcsin(np.clip(low / np.where(low < 0.0, near, farthest), -1.0, 1.0)) - margin
-    rise = np.arcsin(np.clip(high / np.where(high > 0.0, near, farthest), -1.0, 1.0)) + margin
-    return np.stack([np.searchsorted(beams.elevation, down), np.searchsorted(beams.elevation, rise, side="right")], 1)
+    first = np.ceil((bearing + low - beams.azimuth[0]) / beams.step).astype(np.int64)
+    count = np.floor((bearing + high - beams.azimuth[0]) / beams.step).astype(np.int64) - first + 1
+    return np.where(around, 0, first), np.where(around, beams.turn, np.clip(count, 0, beams.turn))
