@@ -1,0 +1,81 @@
+"""Points: the returns of one scan of a lidar, as a detector gets them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+
+#: float32 columns: what lidars deliver, and a quarter of the bytes of a scan.
+Singles = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """n returns of one scan.
+
+    position:  (n, 3) float32, m, in the frame of the lidar at the time of the scan: its own motion is removed, that of
+               the objects is not
+    intensity: (n,) float32, 0 to 1, of a surface that reflects all light towards the lidar
+    time_s:    (n,) float32, s, of each firing, from the time of the scan
+    channel:   (n,) uint8, of the beam, from the lowest up
+
+    No two returns of a scan have the same firing and channel. Recorded points may not say them: all are zero then.
+    """
+
+    position: Singles
+    intensity: Singles
+    time_s: Singles
+    channel: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @classmethod
+    def of(cls, position: Floats | Singles) -> Points:
+        """Points (n, 3) m of which nothing else is known."""
+        n, none = len(position), np.zeros(len(position), np.float32)
+        return cls(np.asarray(position, np.float32).reshape(n, 3), none, none, np.zeros(n, np.uint8))
+
+    @classmethod
+    def empty(cls) -> Points:
+        """No points."""
+        return cls.of(np.zeros((0, 3)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Points]) -> Points:
+        """The points of several, in their order."""
+        if not parts:
+            return cls.empty()
+        return cls(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(cls)))
+
+    @classmethod
+    def from_columns(cls, columns: Mapping[str, NDArray[np.generic]]) -> Points:
+        """The points of the columns of a message."""
+        return cls(*(columns[each.name] for each in fields(cls)))  # type: ignore[arg-type]  # by name
+
+    def columns(self) -> dict[str, NDArray[np.generic]]:
+        """The columns by name."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
+    def select(self, rows: Bools | Ints | slice) -> Points:
+        """The points selected by a mask, an index array or a slice."""
+        return Points(*(getattr(self, each.name)[rows] for each in fields(self)))
+
+    def turned(self, rotation: Floats) -> Points:
+        """The same points in axes from which `rotation` (3, 3), active, leads to others."""
+        return replace(self, position=self.position @ rotation.T.astype(np.float32))
+
+    def range_m(self) -> Singles:
+        """(n,) float32, m, from the lidar."""
+        distance: Singles = np.sqrt(np.einsum("ij,ij->i", self.position, self.position))
+        return distance
+
+    def keys(self) -> Ints:
+        """(n,) int64, the same number for the same beam of two scans with the same timing."""
+        time: NDArray[np.int32] = np.ascontiguousarray(self.time_s).view(np.int32)
+        return time.astype(np.int64) * 256 + self.channel
