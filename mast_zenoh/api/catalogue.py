@@ -201,6 +201,7 @@ _BASES: Mapping[str, Mapping[str, type]] = {
     "scenes": {
         "scenes: ground truth": scenes.Scene,
         "detectors: detections from lidar visibility": sensing.Detector,
+        "detectors of points: detections from the scan of a lidar": sensing.PointDetector,
         "sensors of agents": scenes.Sensor,
     },
     "links": {"rules: effects of a link on messages": links.Rule},

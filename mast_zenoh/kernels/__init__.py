@@ -34,6 +34,7 @@ MODULES = (
     "matching",
     "medians",
     "pairs",
+    "point_clusters",
     "rays",
     "scans",
     "tracks",

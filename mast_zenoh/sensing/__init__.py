@@ -1,17 +1,23 @@
 """Sensing: lidar visibility, detection models and sensor frames."""
 
+from mast_zenoh.sensing.cluster_detector import ClusterDetector, fit_box
 from mast_zenoh.sensing.detection_model import CleanDetector, DetectionModel, Detector, LastingErrors
+from mast_zenoh.sensing.point_detector import NoDetections, PointDetector
 from mast_zenoh.sensing.raycast import Walls, lidar_points
 from mast_zenoh.sensing.sensors import Camera, LidarSensor, in_view, sensor_pose, to_sensor, to_world
 
 __all__ = [
     "Camera",
     "CleanDetector",
+    "ClusterDetector",
     "DetectionModel",
     "Detector",
     "LastingErrors",
     "LidarSensor",
+    "NoDetections",
+    "PointDetector",
     "Walls",
+    "fit_box",
     "in_view",
     "lidar_points",
     "sensor_pose",

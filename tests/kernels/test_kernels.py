@@ -381,6 +381,32 @@ def encoded(random, n, m):
     return layout.program, values
 
 
+def point_cells(random, n):
+    """Points in whole mm, within 20 m, and the ground of cells of 2 m."""
+    whole = (1000 * random.uniform(-15, 15, (n, 3)) * random.choice([0.1, 1.0], (n, 1))).astype(np.int32)
+    return whole, random.integers(-3000, 3000, (20, 20)).astype(np.int32), 20_000
+
+
+def lowest_points(random, n, m):
+    position = np.concatenate([places(random, n), random.uniform(-25, 25, (m, 3)).round(1)]).astype(np.float32)
+    position[random.random(n + m) < 0.1] = random.choice(np.array([np.nan, np.inf, -np.inf, 1e30], np.float32))
+    return position, 20_000, 5_000, 2_000
+
+
+def ground_cells(random, n, m):
+    lowest = random.integers(-3000, 3000, (n + 1, m + 1)).astype(np.int32)
+    lowest[random.random(lowest.shape) < random.choice([0.1, 0.7])] = 1 << 30
+    return lowest, random.integers(-500, 500, lowest.shape).astype(np.int32), 120, 20, 100
+
+
+def clusters_of_points(random, n, m):
+    """The plan of points in up to m clusters, and what `rectangle_turns` needs to know."""
+    whole, _, _ = point_cells(random, n)
+    start = np.unique(np.concatenate([[0, n], random.integers(0, n + 1, m)])).astype(np.int64)
+    angles = np.radians(np.arange(0.0, 90.0, 2.0))
+    return whole[:, :2], start, np.stack([np.cos(angles), np.sin(angles)], axis=1), 5, 100, 60, 50.0
+
+
 #: For each kernel its arguments, with n rows and m others (both may be 0).
 def scanned(random, n, m):
     """What a scan of n objects and some walls casts, by a lidar that moves."""
@@ -403,6 +429,10 @@ def scanned(random, n, m):
 
 
 ARGUMENTS = {
+    "lowest_by_cell": lowest_points,
+    "ground_surface": ground_cells,
+    "connected_cells": lambda r, n, m: (*point_cells(r, n), (250, 2500), 350 + 10 * m, int(r.choice([3000, 20_000]))),
+    "rectangle_turns": clusters_of_points,
     "begin_step": lambda r, n, m: (table(r, n), 0.1, 0.09, 30.0, 2.0),
     "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
     "correct": lambda r, n, m: (table(r, n), r.normal(size=(n, k := r.choice([6, 9]))), covariances(r, n, k)),

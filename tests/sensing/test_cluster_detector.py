@@ -1,0 +1,189 @@
+"""The detector by clusters finds road users in scans, and nothing that is none; no points can break it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
+from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Detections, Floats
+from mast_zenoh.sensing import ClusterDetector, NoDetections, Walls, fit_box, scan
+from mast_zenoh.sensing.beams import MODELS
+from mast_zenoh.sensing.point_detector import detect_levelled, problem_of
+from mast_zenoh.sensing.points import Points
+from mast_zenoh.sensing.shapes import Parts
+
+#: m, length width height, by class.
+SIZES = {
+    "car": (4.5, 1.8, 1.5),
+    "truck": (8.0, 2.4, 3.0),
+    "bus": (11.5, 2.5, 3.1),
+    "bicycle": (1.8, 0.65, 1.75),
+    "pedestrian": (0.6, 0.6, 1.75),
+}
+LEVEL = np.eye(3)
+Thing = tuple[str, float, float, float]
+
+
+def scanned(
+    *things: Thing,
+    height: float = 1.8,
+    model: str = "OS1-128",
+    mount: Floats = LEVEL,
+    walls: Walls | None = None,
+    slope: float = 0.0,
+) -> Points:
+    """The points of (class, x, y, yaw) on a plane that rises along x, in the frame of a lidar at this height."""
+    size = np.array([SIZES[name] for name, *_ in things]).reshape(-1, 3)
+    plan = np.array([(x, y) for _, x, y, _ in things]).reshape(-1, 2)
+    n, still = len(things), np.zeros((len(things), 3))
+    objects = scan.Moving(
+        np.column_stack([plan, size[:, 2] / 2]), still, np.array([yaw for *_, yaw in things]), np.zeros(n)
+    )
+    lidar = scan.Moving(np.array([[0.0, 0.0, height]]), np.zeros((1, 3)), np.zeros(1), np.zeros(1))
+    parts = Parts.of(np.array([CLASS_INDEX[name] for name, *_ in things], np.int64), size)
+    beams = MODELS[model].beams()
+    cast = scan.cast(beams, lidar, mount, objects, parts, 0.0, walls)
+    range_m = cast.range_m + np.random.default_rng(1).normal(0.0, 0.02, cast.range_m.shape)
+    met = np.isfinite(range_m)
+    position = beams.directions()[met] * range_m[met][:, None]
+    position[:, 2] += slope * position[:, 0]
+    return Points.of(position)
+
+
+def names(found: Detections) -> list[str]:
+    return sorted(CLASSES[which] for which in found.class_id)
+
+
+def nearest(found: Detections, x: float, y: float) -> tuple[int, float]:
+    gap = np.hypot(found.position[:, 0] - x, found.position[:, 1] - y)
+    return int(gap.argmin()), float(gap.min())
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.5, 1.2, -0.8, np.pi / 2])
+@pytest.mark.parametrize(("height", "model"), [(1.8, "OS1-128"), (1.8, "VLP-32C"), (5.0, "OS1-128")])
+def test_car_at_20_m_is_found_where_it_is(yaw: float, height: float, model: str) -> None:
+    found = ClusterDetector().detect(scanned(("car", 20.0, 3.0, yaw), height=height, model=model))
+    assert names(found) == ["car"]
+    assert nearest(found, 20.0, 3.0)[1] < 0.35
+    assert abs(found.position[0, 2] + height - 0.75) < 0.15
+    assert abs((found.yaw[0] - yaw + np.pi / 2) % np.pi - np.pi / 2) < np.radians(5.0)
+    assert np.allclose(found.size[0], SIZES["car"], atol=(0.5, 0.25, 0.2))
+
+
+@pytest.mark.parametrize("name", SIZES)
+def test_class_follows_from_size_and_height(name: str) -> None:
+    assert names(ClusterDetector().detect(scanned((name, 16.0, 4.0, 1.0)))) == [name]
+
+
+def test_middle_of_a_car_seen_from_behind_is_not_drawn_towards_the_lidar() -> None:
+    found = ClusterDetector().detect(scanned(("car", 30.0, 0.0, 0.0), model="VLP-16"))
+    assert abs(found.position[0, 0] - 30.0) < 0.5
+    assert found.covariance[0, 0, 0] > 2.0 * found.covariance[0, 1, 1]
+
+
+def test_two_cars_that_are_one_and_a_half_metres_apart_are_two() -> None:
+    found = ClusterDetector().detect(scanned(("car", 15.0, 5.0, 0.0), ("car", 15.0, 8.3, 0.0), ("car", 21.0, 5.0, 0.0)))
+    assert names(found) == ["car"] * 3
+
+
+def test_wall_is_no_object() -> None:
+    outline = np.array([(12.0, -9.0), (20.0, -9.0), (20.0, 6.0), (12.0, 6.0)])
+    walls = Walls.of_buildings((outline,), np.array([6.0]))
+    assert len(ClusterDetector().detect(scanned(walls=walls))) == 0
+    hedge = Walls.of_buildings((outline,), np.array([1.3]))
+    assert len(ClusterDetector().detect(scanned(walls=hedge))) == 0
+
+
+def test_bridge_over_a_car_is_left_out() -> None:
+    bridge = np.column_stack([*(each.ravel() for each in np.mgrid[15:25:0.2, -8:8:0.2]), np.full(4000, 3.4)])
+    points = Points.joined([scanned(("car", 20.0, 0.0, 0.0)), Points.of(bridge)])
+    assert names(ClusterDetector().detect(points)) == ["car"]
+
+
+@pytest.mark.parametrize("slope", [-0.05, 0.05])
+@pytest.mark.parametrize("model", ["VLP-16", "OS1-128"])
+def test_slope_is_ground(slope: float, model: str) -> None:
+    found = ClusterDetector().detect(scanned(("car", 25.0, 2.0, 0.3), slope=slope, model=model))
+    assert names(found) == ["car"]
+    assert nearest(found, 25.0, 2.0)[1] < 0.4
+
+
+def test_lidar_on_a_pole_that_looks_down_works_in_its_own_frame() -> None:
+    mount = rotation_from_yaw_pitch(0.0, np.radians(30.0))
+    points = scanned(("car", 20.0, 3.0, 0.5), ("pedestrian", 14.0, -3.0, 0.0), height=12.0, mount=mount)
+    found = detect_levelled(ClusterDetector(), points, mount)
+    assert names(found) == ["car", "pedestrian"]
+    place = found.position @ mount.T
+    assert np.hypot(*(place[list(found.class_id).index(CLASS_INDEX["car"]), :2] - (20.0, 3.0))) < 0.3
+
+
+def test_order_of_points_makes_no_difference() -> None:
+    points = scanned(("car", 12.0, 3.0, 0.3), ("truck", 25.0, -6.0, 1.0), ("pedestrian", 9.0, -2.0, 0.0))
+    mixed = points.select(np.random.default_rng(0).permutation(len(points)))
+    first, second = (ClusterDetector().detect(each).columns() for each in (points, mixed))
+    assert len(first["yaw"]) == 3
+    for name, column in first.items():
+        np.testing.assert_array_equal(column, second[name])
+
+
+@pytest.mark.parametrize(
+    "position",
+    [
+        np.zeros((0, 3)),
+        np.ones((1, 3)),
+        np.ones((1000, 3)),
+        np.full((50, 3), np.nan),
+        np.array([(np.inf, 0, 0), (0, -np.inf, 0), (3e38, 3e38, -3e38), (1e9, 0, -1)]),
+        np.random.default_rng(0).uniform(0.0, 0.3, (100_000, 3)) + (5.0, 5.0, -1.0),
+        np.random.default_rng(0).normal(0.0, 1e5, (1000, 3)),
+    ],
+)
+def test_no_points_break_it(position: Floats) -> None:
+    for detector in (ClusterDetector(), ClusterDetector(min_points=1), NoDetections()):
+        found = detector.detect(Points.of(position.astype(np.float32)))
+        assert not problem_of(found)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.3, 3.0, 30.0]), st.integers(0, 400))
+def test_random_clouds_give_valid_detections(seed: int, spread: float, count: int) -> None:
+    draw = np.random.default_rng(seed)
+    middles = draw.uniform(-40.0, 40.0, (8, 3)) * (1.0, 1.0, 0.05)
+    cloud = middles[draw.integers(0, 8, count)] + draw.normal(0.0, spread, (count, 3)) * (1.0, 1.0, 0.2)
+    cloud[draw.random(count) < 0.05] = np.nan
+    found = ClusterDetector(min_points=1).detect(Points.of(cloud))
+    assert not problem_of(found)
+    assert (np.linalg.eigvalsh(found.covariance) > 0.0).all()
+
+
+def test_points_that_are_not_numbers_are_left_out() -> None:
+    points = scanned(("car", 12.0, 3.0, 0.3))
+    bad = Points.of(np.full((100, 3), np.nan))
+    first, second = (ClusterDetector().detect(each) for each in (points, Points.joined([bad, points, bad])))
+    np.testing.assert_array_equal(first.position, second.position)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4, 1.5, -1.0])
+def test_box_of_points_is_fitted_along_their_sides(yaw: float) -> None:
+    along = np.linspace(-2.0, 2.0, 60)
+    sides = np.concatenate([np.column_stack([along, 0 * along - 0.9]), np.column_stack([0 * along - 2.0, along * 0.45])])
+    turned = sides @ np.array([(np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))])
+    position = np.column_stack([turned + (500.0, -80.0), np.tile(np.linspace(0.2, 1.6, 60), 2)])
+    middle, size, fitted = fit_box(position)
+    np.testing.assert_allclose(middle, (500.0, -80.0, 0.9), atol=0.05)
+    np.testing.assert_allclose(size, (4.0, 1.8, 1.4), atol=0.1)
+    assert abs((fitted - yaw + np.pi / 2) % np.pi - np.pi / 2) < np.radians(1.1)
+
+
+def test_box_of_no_points_is_refused() -> None:
+    with pytest.raises(ValueError, match="position: found 0 points"):
+        fit_box(np.full((3, 3), np.nan))
+
+
+@pytest.mark.parametrize("settings_", [{"reach_m": 0.0}, {"cell_m": np.nan}, {"min_points": 0}, {"slope": 2.0}])
+def test_parameters_are_checked(settings_: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(settings_))}: found"):
+        ClusterDetector(**settings_)  # type: ignore[arg-type]
