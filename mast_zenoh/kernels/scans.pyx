@@ -2,7 +2,7 @@
 """A kernel for the scans of lidars. The NumPy reference documents it, and makes the same numbers."""
 
 cimport numpy as np
-from libc.math cimport INFINITY, fabs, fmin, sqrt
+from libc.math cimport INFINITY, fabs, fmax, fmin, sqrt
 
 from mast_zenoh.kernels.arrays cimport contiguous, empty_matrix, float_data, int_data, length, writable_data
 from mast_zenoh.kernels.table cimport SOURCE_DIGEST
@@ -50,35 +50,105 @@ cdef inline void set_part(Part* part, const double* low, const double* high) noe
         part.faces[k].steep = sqrt(1.0 + part.faces[k].lean * part.faces[k].lean)
 
 
-cdef inline bint clip(double before, double along, double steep, double* enter, double* leave, double* slope) noexcept nogil:
-    """Clip a beam at a face, at a distance `before` it that grows by `along` a metre; whether anything is left."""
-    cdef double distance
-    if fabs(along) < 1e-12:
-        along = 1e-12
-    distance = -before / along
-    if along < 0.0:
-        if distance > enter[0]:
-            enter[0], slope[0] = distance, -along / steep
-    elif distance < leave[0]:
-        leave[0] = distance
-    return enter[0] <= leave[0]
+cdef struct Span:
+    double[3] middle, half  # m, of the box around a part, and a little more
 
 
-cdef inline double into_part(Part* part, const double* origin, const double* beam, double nearest, double* slope) noexcept nogil:
+cdef double MARGIN_M = 1e-6  # far more than rounding moves a beam
+
+
+cdef inline void set_span(Span* span, const double* low, const double* high) noexcept nogil:
+    cdef Py_ssize_t k
+    cdef double first, last
+    span.middle[2], span.half[2] = (low[0] + high[0]) / 2.0, (high[0] - low[0]) / 2.0 + MARGIN_M
+    for k in range(2):
+        first, last = fmin(low[1 + 2 * k], high[1 + 2 * k]), fmax(low[2 + 2 * k], high[2 + 2 * k])
+        span.middle[k], span.half[k] = (first + last) / 2.0, (last - first) / 2.0 + MARGIN_M
+
+
+cdef inline void interval(const Span* span, const double* origin, const double* axis, double* low, double* high) noexcept nogil:
+    """m, from and to, that a box reaches along an axis from an origin."""
+    cdef double middle, half
+    middle = (span.middle[0] - origin[0]) * axis[0] + (span.middle[1] - origin[1]) * axis[1] + (span.middle[2] - origin[2]) * axis[2]
+    half = span.half[0] * fabs(axis[0]) + span.half[1] * fabs(axis[1]) + span.half[2] * fabs(axis[2])
+    low[0], high[0] = middle - half, middle + half
+
+
+cdef inline bint narrowed(
+    const Span* span, const double* origin, const double* ahead, const double* left, const double* up,
+    const double* rise, double aside, Py_ssize_t* low, Py_ssize_t* high,
+) noexcept nogil:
+    """Narrow the channels of an azimuth to those that may meet a box; whether there are any.
+
+    rise: of each channel, up for each metre ahead;  aside: most that a channel goes to the side for each metre ahead
+    """
+    cdef double near, far, first, last
+    interval(span, origin, ahead, &near, &far)
+    if far <= 0.0:
+        return False
+    interval(span, origin, left, &first, &last)
+    if first > far * aside or last < -far * aside:
+        return False
+    if near > MARGIN_M:
+        interval(span, origin, up, &first, &last)
+        first, last = first / (near if first < 0.0 else far), last / (near if last > 0.0 else far)
+        while low[0] < high[0] and rise[low[0]] < first:
+            low[0] += 1
+        while low[0] < high[0] and rise[high[0] - 1] > last:
+            high[0] -= 1
+    return low[0] < high[0]
+
+
+cdef struct Sides:
+    double[6] before  # m, of the origin before each face; negative: behind it
+    Py_ssize_t[6] faces  # those before which the origin is, then the others
+    Py_ssize_t outer
+
+
+cdef inline void set_sides(Sides* sides, const Part* part, const double* origin) noexcept nogil:
+    cdef Py_ssize_t k, inner = 6
+    sides.outer = 0
+    sides.before[0], sides.before[1] = part.low - origin[2], origin[2] - part.high
+    for k in range(4):
+        sides.before[2 + k] = origin[k // 2] - part.faces[k].lean * origin[2] - part.faces[k].at
+        if k % 2 == 0:
+            sides.before[2 + k] = -sides.before[2 + k]
+    for k in range(6):
+        if sides.before[k] > 0.0:
+            sides.faces[sides.outer] = k
+            sides.outer += 1
+        else:
+            inner -= 1
+            sides.faces[inner] = k
+
+
+cdef inline double outward(const Part* part, Py_ssize_t k, const double* beam) noexcept nogil:
+    """How much a beam goes away from a face for each metre."""
+    if k < 2:
+        return beam[2] if k else -beam[2]
+    cdef double along = beam[(k - 2) // 2] - part.faces[k - 2].lean * beam[2]
+    return along if k % 2 else -along
+
+
+cdef inline double into_part(const Part* part, const Sides* sides, const double* beam, double nearest, double* slope) noexcept nogil:
     """m along a beam into a part, and the cosine to its face; inf: not met before `nearest`."""
-    cdef double enter = -INFINITY, leave = nearest
-    cdef Face* face = part.faces
-    if (
-        clip(-(origin[2] - part.low), -beam[2], 1.0, &enter, &leave, slope)
-        and clip(origin[2] - part.high, beam[2], 1.0, &enter, &leave, slope)
-        and clip(-(origin[0] - face[0].lean * origin[2] - face[0].at), -(beam[0] - face[0].lean * beam[2]), face[0].steep, &enter, &leave, slope)
-        and clip(origin[0] - face[1].lean * origin[2] - face[1].at, beam[0] - face[1].lean * beam[2], face[1].steep, &enter, &leave, slope)
-        and clip(-(origin[1] - face[2].lean * origin[2] - face[2].at), -(beam[1] - face[2].lean * beam[2]), face[2].steep, &enter, &leave, slope)
-        and clip(origin[1] - face[3].lean * origin[2] - face[3].at, beam[1] - face[3].lean * beam[2], face[3].steep, &enter, &leave, slope)
-        and enter >= 0.0
-    ):
-        return enter
-    return INFINITY
+    cdef double enter = -1.0, along, distance
+    cdef Py_ssize_t i, k
+    for i in range(sides.outer):
+        k = sides.faces[i]
+        along = outward(part, k, beam)
+        if along > -1e-12:
+            return INFINITY
+        distance = -sides.before[k] / along
+        if distance > enter:
+            enter, slope[0] = distance, (-along if k < 2 else -along / part.faces[k - 2].steep)
+    if not 0.0 <= enter < nearest:
+        return INFINITY
+    for i in range(sides.outer, 6):
+        k = sides.faces[i]
+        if sides.before[k] + enter * outward(part, k, beam) > 0.0:
+            return INFINITY
+    return enter
 
 
 def nearest_surfaces(columns, channels, place, objects, heading, parts, windows, walls, wall_windows, double max_range_m):
@@ -87,7 +157,7 @@ def nearest_surfaces(columns, channels, place, objects, heading, parts, windows,
     at, speed, yaw, spin = (contiguous(each) for each in (objects.position, objects.velocity, heading, objects.turn))
     lower, upper = contiguous(parts.low), contiguous(parts.high)
     start, end, top = contiguous(walls.start), contiguous(walls.end), contiguous(walls.top)
-    cdef Py_ssize_t m = length(columns, 1), c = length(channels, 1), i, k, w, part, row, first, last, low, high, place_in
+    cdef Py_ssize_t m = length(columns, 1), c = length(channels, 1), i, k, w, part, row, first, last, low, high, bottom, above_all, place_in
     cdef const double* time = float_data(columns, 2)
     cdef const double* cosine = time + m
     cdef const double* sine = time + 2 * m
@@ -110,8 +180,12 @@ def nearest_surfaces(columns, channels, place, objects, heading, parts, windows,
     cdef const double* wall_start = float_data(start, 2)
     cdef const double* wall_end = float_data(end, 2)
     cdef const double* wall_top = float_data(top, 1)
-    ranges, cosines = empty_matrix(m, c), empty_matrix(m, c)
-    sources = numpy.empty((m, c), numpy.int32)
+    # One block, which the next scan finds again: three smaller ones go back to the system, and cost its page faults.
+    block = numpy.empty(20 * m * c, numpy.uint8)
+    ranges, cosines, sources = (
+        block[first * m * c : last * m * c].view(kind).reshape(m, c)
+        for first, last, kind in ((0, 8, numpy.float64), (8, 16, numpy.float64), (16, 20, numpy.int32))
+    )
     cdef double* range_m = writable_data(ranges, 2)
     cdef double* slope = writable_data(cosines, 2)
     cdef np.int32_t[:, ::1] source_view = sources
@@ -119,12 +193,19 @@ def nearest_surfaces(columns, channels, place, objects, heading, parts, windows,
     axes_bytes = numpy.empty(m * sizeof(Axes), numpy.uint8)
     cdef np.uint8_t[::1] axes_view = axes_bytes
     cdef Axes* axes = <Axes*>&axes_view[0] if m else NULL
-    cdef double co, si, x, y, z, fall, distance, nearest, met_slope, height, span_x, span_y, wall_length, to_x, to_y, across, share
+    cdef double met_slope = 0.0, co, si, x, y, z, fall, distance, height, span_x, span_y, wall_length, to_x, to_y, across, share
     cdef double[3] column0, column1, offset, origin, ahead, left, up, beam
     cdef Py_ssize_t n_parts = length(lower)
     shape_bytes = numpy.empty(max(n_parts, 1) * sizeof(Part), numpy.uint8)
     cdef np.uint8_t[::1] shape_view = shape_bytes
     cdef Part* shape = <Part*>&shape_view[0]
+    span_bytes = numpy.empty(max(n_parts, 1) * sizeof(Span), numpy.uint8)
+    cdef np.uint8_t[::1] span_view = span_bytes
+    cdef Span* span = <Span*>&span_view[0]
+    cdef Sides sides
+    cdef double aside = 0.0
+    rises = numpy.empty(c)
+    cdef double* rise = writable_data(rises, 1)
     with nogil:
         for i in range(m):
             turned(ahead_of, turn * time[i], &co, &si)
@@ -155,6 +236,10 @@ def nearest_surfaces(columns, channels, place, objects, heading, parts, windows,
                 source[i * c + k] = GROUND if range_m[i * c + k] < INFINITY else NOTHING
         for k in range(n_parts):
             set_part(&shape[k], &below[5 * k], &above[5 * k])
+            set_span(&span[k], &below[5 * k], &above[5 * k])
+        for k in range(c):
+            rise[k] = channel[2 * c + k] / channel[k]
+            aside = fmax(aside, fabs(channel[c + k] / channel[k]))
         for w in range(n_windows):
             row, first, last, low, high = window[5 * w], window[5 * w + 1], window[5 * w + 2], window[5 * w + 3], window[5 * w + 4]
             for i in range(first, last):
@@ -165,16 +250,19 @@ def nearest_surfaces(columns, channels, place, objects, heading, parts, windows,
                 into(co, si, axes[i].ahead, ahead)
                 into(co, si, axes[i].left, left)
                 into(co, si, axes[i].up, up)
-                for place_in in range(low, high):
-                    x, y, z = channel[place_in], channel[c + place_in], channel[2 * c + place_in]
-                    for k in range(3):
-                        beam[k] = ahead[k] * x + left[k] * y + up[k] * z
-                    nearest = fmin(range_m[i * c + place_in], max_range_m)
-                    for part in range(parts_of[row], parts_of[row + 1]):
-                        distance = into_part(&shape[part], origin, beam, nearest, &met_slope)
-                        if distance < range_m[i * c + place_in] and distance <= max_range_m:
-                            nearest = range_m[i * c + place_in] = distance
-                            slope[i * c + place_in], source[i * c + place_in] = met_slope, <np.int32_t>row
+                for part in range(parts_of[row], parts_of[row + 1]):
+                    bottom, above_all = low, high
+                    if not narrowed(&span[part], origin, ahead, left, up, rise, aside, &bottom, &above_all):
+                        continue
+                    set_sides(&sides, &shape[part], origin)
+                    for place_in in range(bottom, above_all):
+                        x, y, z = channel[place_in], channel[c + place_in], channel[2 * c + place_in]
+                        for k in range(3):
+                            beam[k] = ahead[k] * x + left[k] * y + up[k] * z
+                        distance = into_part(&shape[part], &sides, beam, range_m[i * c + place_in], &met_slope)
+                        if distance <= max_range_m:
+                            range_m[i * c + place_in], slope[i * c + place_in] = distance, met_slope
+                            source[i * c + place_in] = <np.int32_t>row
         for w in range(n_walls):
             row, first, last = wall_window[5 * w], wall_window[5 * w + 1], wall_window[5 * w + 2]
             low, high = wall_window[5 * w + 3], wall_window[5 * w + 4]

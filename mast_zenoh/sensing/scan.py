@@ -199,23 +199,25 @@ def _into(turned: tuple[Floats, Floats], vectors: Floats) -> Floats:
 def _into_part(origin: Floats, beam: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     """m along beams (…, 3) from origins into a part, inf: not met; and the cosine to the face on which they enter."""
     height = high[0] - low[0]
-    enter, leave = np.full(beam.shape[:-1], -np.inf), np.full(beam.shape[:-1], np.inf)
-    slope = np.zeros(beam.shape[:-1])
+    enter, slope, missed = np.full(beam.shape[:-1], -1.0), np.zeros(beam.shape[:-1]), np.zeros(beam.shape[:-1], bool)
     planes = [(2, 0.0, low[0], -1.0), (2, 0.0, high[0], 1.0)]
     for place, (axis, side) in enumerate(((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0)), 1):
         lean = (high[place] - low[place]) / height
         planes.append((axis, lean, low[place] - lean * low[0], side))
+    faces = []
     for axis, lean, at, side in planes:
         before = side * (origin[..., axis] - lean * origin[..., 2] - at)
         along = side * (beam[..., axis] - lean * beam[..., 2])
-        along = np.where(np.abs(along) < 1e-12, 1e-12, along)
-        distance = -before / along
-        inward = along < 0.0
-        later = inward & (distance > enter)
+        outer, away = before > 0.0, along > -1e-12
+        missed |= outer & away
+        distance = -before / np.where(away, 1.0, along)
+        later = outer & ~away & (distance > enter)
         slope = np.where(later, -along / np.sqrt(1.0 + lean * lean), slope)
         enter = np.where(later, distance, enter)
-        leave = np.where(~inward & (distance < leave), distance, leave)
-    return np.where((enter >= 0.0) & (enter <= leave), enter, np.inf), slope
+        faces.append((outer, before, along))
+    for outer, before, along in faces:
+        missed |= ~outer & (before + enter * along > 0.0)
+    return np.where(~missed & (enter >= 0.0), enter, np.inf), slope
 
 
 def _to_wall(origin: Floats, beam: Floats, start: Floats, end: Floats, top: float) -> tuple[Floats, Floats]:
@@ -253,6 +255,8 @@ def _object_windows(beams: Beams, lidar: Moving, mount: Floats, objects: Moving,
 
 def _wall_windows(beams: Beams, lidar: Moving, mount: Floats, walls: Walls, ground_m: float) -> Ints:
     """The windows of walls, which are met above the ground only."""
+    if not len(walls.top):
+        return np.zeros((0, 5), np.int64)
     moved = float(np.linalg.norm(lidar.velocity[0])) * beams.longest_s + _MARGIN_M
     start, end = walls.start - lidar.position[0, :2], walls.end - lidar.position[0, :2]
     span = end - start
