@@ -1,4 +1,4 @@
-# cython: language_level=3, cdivision=True
+# cython: language_level=3, cdivision=True, boundscheck=False, wraparound=False
 """A kernel for the scans of lidars. The NumPy reference documents it, and makes the same numbers."""
 
 cimport numpy as np
@@ -285,3 +285,87 @@ def nearest_surfaces(columns, channels, place, objects, heading, parts, windows,
                         range_m[i * c + place_in], slope[i * c + place_in] = distance, fabs(across) / wall_length
                         source[i * c + place_in] = WALL
     return ranges, sources, cosines
+
+
+def surface_echoes(range_m, source, cosine, shades, float lit, float grazing):
+    from mast_zenoh.sensing.returns import Echoes
+
+    cdef const double[:, ::1] distance = numpy.ascontiguousarray(range_m)
+    cdef const double[:, ::1] slope = numpy.ascontiguousarray(cosine)
+    cdef const np.int32_t[:, ::1] kind = numpy.ascontiguousarray(source)
+    cdef const float[::1] shade = numpy.ascontiguousarray(shades)
+    cdef Py_ssize_t m = distance.shape[0], c = distance.shape[1], n = shade.shape[0], i, k, row
+    cdef float near, across, least = 1e-6, one = 1.0, square
+    block = numpy.empty((2, m, c), numpy.float32)
+    cdef float[:, :, ::1] echo = block
+    if not range_m.shape == source.shape == cosine.shape:
+        raise ValueError("found arrays of a scan of several shapes, expected one")
+    for i in range(m):
+        for k in range(c):
+            row = kind[i, k] + (n if kind[i, k] < 0 else 0)
+            if not 0 <= row < n:
+                raise IndexError(f"source: found {kind[i, k]}, expected a row of {n} shades")
+            echo[1, i, k] = shade[row]
+        for k in range(c):  # compiled to instructions for several numbers at a time
+            near, across = <float>distance[i, k], <float>slope[i, k]
+            square = near * near
+            echo[0, i, k] = near
+            echo[1, i, k] = echo[1, i, k] * (lit * across + grazing * (one - across * across)) / (square if square > least else least)
+    return Echoes(block[0], source, block[1])
+
+
+def measured_points(echoes, draws, receiver, firings):
+    cdef const float[:, ::1] distance = numpy.ascontiguousarray(echoes.range_m)
+    cdef const float[:, ::1] power = numpy.ascontiguousarray(echoes.power)
+    cdef const np.int32_t[:, ::1] kind = numpy.ascontiguousarray(echoes.source)
+    cdef const np.uint64_t[:, ::1] draw = numpy.ascontiguousarray(draws)
+    cdef const float[::1] noise = receiver.noise
+    cdef const float[::1] least = receiver.least
+    cdef const float[:, ::1] start = firings.origin
+    cdef const float[:, :, ::1] axes = firings.axes
+    cdef const float[:, ::1] channel = firings.channels
+    cdef const float[::1] time = firings.time_s
+    cdef float unit = receiver.unit, measured, along, one = 1.0
+    cdef double nearest = receiver.nearest_m, farthest = receiver.farthest_m
+    cdef Py_ssize_t m = distance.shape[0], c = distance.shape[1], i, k, j, row, n = 0
+    cdef np.uint64_t level = 4095
+    if not echoes.range_m.shape == echoes.source.shape == echoes.power.shape == draws.shape:
+        raise ValueError("found arrays of echoes of several shapes, expected one")
+    if noise.shape[0] != 4096 or least.shape[0] != 4096 or start.shape[0] < m or axes.shape[0] < m or time.shape[0] < m or channel.shape[1] < c:
+        raise ValueError("found too short a table or too few firings")
+    beams, firsts = numpy.empty(m * c, numpy.uint8), numpy.zeros(m + 1, numpy.int64)
+    cdef np.uint8_t[::1] beam = beams
+    cdef np.int64_t[::1] first = firsts
+    for i in range(m):
+        for k in range(c):
+            if not power[i, k] > 0:
+                continue
+            measured = distance[i, k] + noise[draw[i, k] & level]
+            if power[i, k] >= least[(draw[i, k] >> 12) & level] and distance[i, k] >= nearest and measured <= farthest:
+                beam[n] = <np.uint8_t>k
+                n += 1
+        first[i + 1] = n
+    block = numpy.empty(29 * n, numpy.uint8)  # one, as in `nearest_surfaces`
+    sources, positions, intensities, times, channels = (
+        block[one_byte * n : last_byte * n].view(kind_of)
+        for one_byte, last_byte, kind_of in (
+            (0, 8, numpy.int64), (8, 20, numpy.float32), (20, 24, numpy.float32), (24, 28, numpy.float32), (28, 29, numpy.uint8)
+        )
+    )
+    cdef float[::1] position = positions
+    cdef float[::1] intensity = intensities
+    cdef float[::1] at = times
+    cdef np.uint8_t[::1] number = channels
+    cdef np.int64_t[::1] of = sources
+    for i in range(m):
+        for j in range(first[i], first[i + 1]):
+            k = beam[j]
+            along = distance[i, k] + noise[draw[i, k] & level]
+            for row in range(3):
+                position[3 * j + row] = start[i, row] + along * (
+                    axes[i, row, 0] * channel[0, k] + axes[i, row, 1] * channel[1, k] + axes[i, row, 2] * channel[2, k]
+                )
+            along = power[i, k] * (distance[i, k] * distance[i, k]) * unit
+            intensity[j] = along if along < one else one
+            at[j], number[j], of[j] = time[i], <np.uint8_t>k, kind[i, k]
+    return positions.reshape(n, 3), intensities, times, channels, sources

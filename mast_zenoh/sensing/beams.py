@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats
+from mast_zenoh.sensing.sensors import LidarSensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +27,13 @@ class Beams:
     time_s: Floats
     min_range_m: float
     max_range_m: float
+
+    @classmethod
+    def of_sensor(cls, lidar: LidarSensor, period_s: float = 0.1) -> Beams:
+        """The beams of a lidar whose turns take `period_s`, such as the paper's; 0: all at once."""
+        azimuth, elevation = lidar.azimuths, lidar.elevations
+        time = azimuth * (period_s / (2.0 * np.pi))
+        return cls(azimuth, elevation, np.zeros(len(elevation)), time, 0.0, lidar.max_range_m)
 
     @property
     def step(self) -> float:
@@ -73,6 +81,24 @@ class LidarModel:
         elevation = np.radians(self.elevation_deg)
         offset = np.radians(self.offset_deg) if self.offset_deg else np.zeros(len(elevation))
         return Beams(azimuth, elevation, offset, azimuth * (period_s / (2.0 * np.pi)), *self.range_m)
+
+    def sensor(self, mount_position: Floats, mount_rotation: Floats) -> LidarSensor:
+        """Its limits of azimuth, elevation and range on a mount: (3,) m and (3, 3) active, lidar to agent.
+
+        The limits hold for all models; the channels of some are not evenly spaced, as those of a `LidarSensor` are.
+        """
+        half = self.sector_deg / 2.0
+        return LidarSensor(
+            mount_position=mount_position,
+            mount_rotation=mount_rotation,
+            azimuth_min_deg=-half,
+            azimuth_max_deg=half,
+            azimuth_step_deg=self.sector_deg / self.azimuths,
+            elevation_min_deg=self.elevation_deg[0],
+            elevation_max_deg=self.elevation_deg[-1],
+            channels=len(self.elevation_deg),
+            max_range_m=self.range_m[1],
+        )
 
 
 def _even(low: float, high: float, count: int) -> tuple[float, ...]:

@@ -67,13 +67,10 @@ def cast(
     own:      row of the object that carries the lidar, which its beams do not meet; -1: none
     """
     still = walls if walls is not None else Walls.of_buildings((), np.zeros(0))
-    azimuth, elevation = beams.azimuth, beams.elevation
-    flat = np.cos(elevation)
     return Scan(
         *nearest_surfaces(
-            np.stack([beams.time_s, np.cos(azimuth), np.sin(azimuth)]),
-            np.stack([flat * np.cos(beams.offset), flat * np.sin(beams.offset), np.sin(elevation)]),
-            Place(lidar.position[0], lidar.velocity[0], _heading(lidar.yaw)[0], float(lidar.turn[0]), mount, ground_m),
+            *firings(beams),
+            place_of(lidar, mount, ground_m),
             objects,
             _heading(objects.yaw),
             parts,
@@ -99,6 +96,32 @@ class Place(NamedTuple):
     ground_m: float
 
 
+def place_of(lidar: Moving, mount: Floats, ground_m: float = 0.0) -> Place:
+    """The place of a lidar; see `cast`."""
+    return Place(lidar.position[0], lidar.velocity[0], _heading(lidar.yaw)[0], float(lidar.turn[0]), mount, ground_m)
+
+
+def firings(beams: Beams) -> tuple[Floats, Floats]:
+    """The `columns` and `channels` of `nearest_surfaces`."""
+    flat = np.cos(beams.elevation)
+    return (
+        np.stack([beams.time_s, np.cos(beams.azimuth), np.sin(beams.azimuth)]),
+        np.stack([flat * np.cos(beams.offset), flat * np.sin(beams.offset), np.sin(beams.elevation)]),
+    )
+
+
+def firing_axes(columns: Floats, place: Place) -> tuple[Floats, Floats, Floats, Floats]:
+    """Where the lidar is at each azimuth (m, 3) m, and unit vectors (m, 3) along it, to its left, up: world frame."""
+    time, cosine, sine = columns
+    rotation = _rotations(_turned(place.heading, place.turn * time), place.mount)
+    return (
+        place.position + place.velocity * time[:, None],
+        cosine[:, None] * rotation[:, :, 0] + sine[:, None] * rotation[:, :, 1],
+        cosine[:, None] * rotation[:, :, 1] - sine[:, None] * rotation[:, :, 0],
+        rotation[:, :, 2],
+    )
+
+
 @kernel
 def nearest_surfaces(
     columns: Floats,
@@ -119,12 +142,8 @@ def nearest_surfaces(
     heading:  (n, 2) cosine and sine of the objects' yaw
     windows, wall_windows: (k, 5) row of an object or wall, azimuths from and to, channels from and to: may be met
     """
-    time, cosine, sine = columns
-    rotation = _rotations(_turned(place.heading, place.turn * time), place.mount)
-    origin = place.position + place.velocity * time[:, None]
-    ahead = cosine[:, None] * rotation[:, :, 0] + sine[:, None] * rotation[:, :, 1]
-    left = cosine[:, None] * rotation[:, :, 1] - sine[:, None] * rotation[:, :, 0]
-    up = rotation[:, :, 2]
+    time = columns[0]
+    origin, ahead, left, up = firing_axes(columns, place)
     fall = ahead[:, 2:] * channels[0] + left[:, 2:] * channels[1] + up[:, 2:] * channels[2]
     with np.errstate(divide="ignore", invalid="ignore"):
         range_m = (place.ground_m - origin[:, 2:]) / fall

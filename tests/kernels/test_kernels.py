@@ -35,7 +35,7 @@ from mast_zenoh.integrity.visibility import Tolerances
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.layout import LAYOUTS, limit_of
 from mast_zenoh.messages.schemas import SCHEMAS, Header
-from mast_zenoh.sensing import LidarSensor, Walls, lidar_points, scan
+from mast_zenoh.sensing import LidarSensor, Walls, lidar_points, returns, scan
 from mast_zenoh.sensing.beams import Beams
 from mast_zenoh.sensing.raycast import PlacedSensor
 from mast_zenoh.sensing.shapes import Parts
@@ -428,6 +428,24 @@ def scanned(random, n, m):
     return tuple(arguments)
 
 
+def echoed(random, n, m):
+    """Beams that meet n objects, the ground or nothing."""
+    source = random.integers(-3, n, (m, 9)).astype(np.int32)
+    range_m = np.where(source == scan.NOTHING, np.inf, random.uniform(0, 99, source.shape))
+    return range_m, source, random.random(source.shape), random.random(n + 3).astype(np.float32), 0.9, 0.2
+
+
+def received(random, n, m):
+    """Echoes that are measured by a lidar with 9 channels."""
+    range_m, source, power, *_ = echoed(random, n, m)
+    echoes = returns.Echoes(range_m.astype(np.float32), source, (2.0 * power).astype(np.float32))
+    noise, least = random.normal(0, 0.02, (2, 4096)).astype(np.float32)
+    receiver = returns.Receiver(noise, 1.0 + least, 0.01, 3.0, 90.0)
+    shapes = (m, 3), (m, 3, 3), (3, 9), (m,)
+    firings = returns.Firings(*(random.normal(size=shape).astype(np.float32) for shape in shapes))
+    return echoes, random.integers(0, 1 << 64, source.shape, np.uint64), receiver, firings
+
+
 ARGUMENTS = {
     "lowest_by_cell": lowest_points,
     "ground_surface": ground_cells,
@@ -528,6 +546,8 @@ ARGUMENTS = {
     "occluded_by_walls": lambda r, n, m: (r.normal(0, 9, 3), r.normal(0, 20, (n, 3)), *buildings(r, m)[:3]),
     "inside_outlines": lambda r, n, m: (r.normal(0, 20, (n, 3)), *(walls := buildings(r, m))[:2], walls[3]),
     "nearest_surfaces": scanned,
+    "surface_echoes": echoed,
+    "measured_points": received,
     "packed_columns": packed,
     "split_columns": split,
     "split_header": split_header,
