@@ -1,0 +1,171 @@
+"""Still objects beside the ways of road users, which no agent reports: hedges, signs and poles, and kerbs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from mast_zenoh.arrays.checks import check
+from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.sensing.raycast import Walls
+
+#: What stands beside roads, `StillObjects.kind`. A sign is two objects: its plate and its post.
+KINDS = ("hedge", "sign", "post", "pole")
+#: By kind: share of light that is reflected (trees: Wehr and Lohr 1999, table 1; others assumed).
+_REFLECTIVITY = (0.6, 1.0, 0.3, 0.3)
+#: m, (l, w, h) from and to, by kind, kerbs last; and of the lower edge above the ground: usual sizes, assumed.
+_SIZES = {
+    "hedge": ((3.0, 0.6, 0.8), (12.0, 1.5, 2.2), 0.0),
+    "sign": ((0.05, 0.6, 0.6), (0.05, 0.9, 0.9), 2.0),
+    "pole": ((0.15, 0.15, 5.0), (0.25, 0.25, 8.0), 0.0),
+    "kerb": ((6.0, 0.15, 0.1), (25.0, 0.3, 0.15), 0.0),
+}
+_POST_M = 0.08
+#: How often a place is looked for, m to the farthest one from what moves, m around a point that show its direction.
+_TRIES, _BESIDE_M, _AROUND_M = 30, 8.0, 6.0
+#: m: points of what moves that are nearer than this to each other are one.
+_CELL_M = 0.5
+
+
+class StillObjects(NamedTuple):
+    """n boxes that stand on the ground or hang above it, and kerbs.
+
+    position: (n, 3) m, middle, world frame;  size: (n, 3) m;  yaw: (n,) rad;  kind: (n,) rows of KINDS
+    reflectivity: (n,) 0 to 1;  kerbs: as low walls
+    """
+
+    position: Floats
+    size: Floats
+    yaw: Floats
+    kind: Ints
+    reflectivity: Floats
+    kerbs: Walls
+
+
+@dataclass(kw_only=True, eq=False)
+class Clutter:
+    """Places still objects near what moves, along its ways, where they never touch it or a building.
+
+    hedges, kerbs, signs, poles: how many, 0 to 1000; fewer where there is no room
+    gap_m: m, at least, to what moves and to buildings
+
+    Errors: ValueError for a number that is not as described.
+    """
+
+    hedges: int = 12
+    kerbs: int = 16
+    signs: int = 8
+    poles: int = 12
+    gap_m: float = 0.4
+
+    def __post_init__(self) -> None:
+        counts = dict(hedges=self.hedges, kerbs=self.kerbs, signs=self.signs, poles=self.poles)
+        check("a whole number", **counts)
+        check("0 to 1000", **counts)
+        check("0 or more, finite", gap_m=self.gap_m)
+
+    def place(
+        self,
+        occupied: Floats,
+        radius: Floats,
+        buildings: Sequence[Floats],
+        extent: Floats,
+        random: np.random.Generator,
+        ground_m: float = 0.0,
+    ) -> StillObjects:
+        """The still objects of a scene; the same for the same arguments.
+
+        occupied: (k, 2) m, where objects and agents are at any time, and the radius (k,) m that each takes up
+        buildings: outlines, each (c, 2) m;  extent: (2, 2) m, the lowest and the highest x and y
+        """
+        ways, reach = _sparse(occupied, radius)
+        site = _Site(ways, reach + self.gap_m, [np.asarray(each) for each in buildings], self.gap_m, extent)
+        boxes: list[tuple[float, ...]] = []
+        kerbs: list[tuple[Floats, Floats, float]] = []
+        for name, count in (("hedge", self.hedges), ("kerb", self.kerbs), ("sign", self.signs), ("pole", self.poles)):
+            least, most, above = _SIZES[name]
+            for _ in range(count if len(ways) else 0):
+                size = random.uniform(least, most)
+                if (placed := site.find(size, random)) is None:
+                    continue
+                (x, y), yaw = placed
+                if name == "kerb":
+                    half = size[0] / 2 * np.array([np.cos(yaw), np.sin(yaw)])
+                    kerbs.append((placed[0] - half, placed[0] + half, ground_m + size[2]))
+                    continue
+                boxes.append((x, y, ground_m + above + size[2] / 2, *size, yaw, KINDS.index(name)))
+                if name == "sign":
+                    boxes.append((x, y, ground_m + above / 2, _POST_M, _POST_M, above, yaw, KINDS.index("post")))
+        columns = np.array(boxes, np.float64).reshape(-1, 8)
+        kind = columns[:, 7].astype(np.int64)
+        walls = Walls(
+            np.array([start for start, _, _ in kerbs]).reshape(-1, 2),
+            np.array([end for _, end, _ in kerbs]).reshape(-1, 2),
+            np.array([top for _, _, top in kerbs], np.float64),
+        )
+        return StillObjects(columns[:, :3], columns[:, 3:6], columns[:, 6], kind, np.array(_REFLECTIVITY)[kind], walls)
+
+
+def _sparse(occupied: Floats, radius: Floats) -> tuple[Floats, Floats]:
+    """One point for all of a cell, and a radius within which all that these take up is."""
+    cells, of = np.unique(np.floor(occupied / _CELL_M), axis=0, return_inverse=True)
+    largest = np.zeros(len(cells))
+    np.maximum.at(largest, of.reshape(-1), radius)
+    return (cells + 0.5) * _CELL_M, largest + _CELL_M / np.sqrt(2.0)
+
+
+class _Site(NamedTuple):
+    """Where there may be still objects: away from discs around `ways` and from buildings, within an extent."""
+
+    ways: Floats
+    reach: Floats
+    buildings: list[Floats]
+    gap_m: float
+    extent: Floats
+
+    def find(self, size: Floats, random: np.random.Generator) -> tuple[Floats, float] | None:
+        """A free place (2,) m and yaw for a box; as many numbers are drawn for each try."""
+        for _ in range(_TRIES):
+            row = int(random.integers(len(self.ways)))
+            aside, angle = random.uniform(-1.0, 1.0), random.uniform(0.0, np.pi)
+            here = self.ways[row]
+            near = self.ways[np.abs(self.ways - here).max(axis=1) < _AROUND_M] - here
+            if len(near) > 1:  # along the way
+                x, y = near.T
+                angle = 0.5 * np.arctan2(2.0 * np.sum(x * y), np.sum(x * x) - np.sum(y * y))
+            away = self.reach[row] + size[1] / 2 + abs(aside) * _BESIDE_M
+            position = here + np.copysign(away, aside) * np.array([-np.sin(angle), np.cos(angle)])
+            if self._free(position, size, angle):
+                return position, float(angle)
+        return None
+
+    def _free(self, position: Floats, size: Floats, yaw: float) -> bool:
+        turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        corners = position + np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * size[:2] / 2 @ turn.T
+        if (corners < self.extent[0]).any() or (corners > self.extent[1]).any():
+            return False
+        beyond = np.maximum(np.abs((self.ways - position) @ turn) - size[:2] / 2, 0.0)
+        if (np.hypot(*beyond.T) < self.reach).any():
+            return False
+        return not any(self._meets(outline, position, size, turn) for outline in self.buildings)
+
+    def _meets(self, outline: Floats, position: Floats, size: Floats, turn: Floats) -> bool:
+        """Whether a box, larger by the gap, meets an outline or is in it."""
+        start = (outline - position) @ turn
+        span = np.roll(start, -1, axis=0) - start
+        half = size[:2] / 2 + self.gap_m
+        with np.errstate(divide="ignore", invalid="ignore"):  # slabs: from where to where an edge is inside the box
+            one, other = (-half - start) / span, (half - start) / span
+        inside = np.abs(start) <= half
+        enter = np.where(span == 0.0, np.where(inside, -np.inf, np.inf), np.minimum(one, other)).max(axis=1)
+        leave = np.where(span == 0.0, np.where(inside, np.inf, -np.inf), np.maximum(one, other)).min(axis=1)
+        if (np.maximum(enter, 0.0) <= np.minimum(leave, 1.0)).any():
+            return True
+        end = start + span
+        crosses = (start[:, 1] > 0.0) != (end[:, 1] > 0.0)  # of a ray along x from the middle
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = start[:, 0] - start[:, 1] * span[:, 0] / span[:, 1]
+        return bool((crosses & (at > 0.0)).sum() % 2)
