@@ -24,7 +24,7 @@ LOCKS = {
     "requirements-site.txt": "the site",
 }
 #: Packages whose metadata state no licence: from their LICENSE files.
-FROM_FILES = {"empy": "LGPL", "ros-fastcdr": "Apache-2.0", "ros-fastrtps": "Apache-2.0"}
+FROM_FILES = {"embreex": "BSD-2-Clause", "empy": "LGPL", "ros-fastcdr": "Apache-2.0", "ros-fastrtps": "Apache-2.0"}
 _HEAD = """# Licences of dependencies
 
 <!-- Written by tools/licences.py; do not edit. -->
