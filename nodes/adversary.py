@@ -1,9 +1,10 @@
 """An adversary on a wire: receives messages and forwards manipulated ones.
 
-It sits where the key-expression map puts it: on `detections` (between an agent's sensors and its perception), on `pose`
-(between its positioning and the agent), on tracks or views (between the agent and the command centre, or between
-peers), on any other wire; also on several of them, and on those of several agents. What it does follows from the type
-of a message. Neither end can detect it: keys, headers and untouched rows are forwarded unchanged.
+It sits where the key-expression map puts it: on `points` (between an agent's lidar and its detector), on `detections`
+(between its sensors and its perception), on `pose` (between its positioning and the agent), on tracks or views (between
+the agent and the command centre, or between peers), on any other wire; also on several of them, and on those of several
+agents. What it does follows from the type of a message. Neither end can detect it: keys, headers and untouched rows are
+forwarded unchanged.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from mast_zenoh.integrity.views import view_columns
 from mast_zenoh.mesh.hosting import main
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.sensing.points import Points
 from mast_zenoh.wiring.model import ANY, Input, agent_of, part_of
 
 #: Types of messages with objects.
@@ -210,7 +212,7 @@ class Adversary(Node):
             queue.append(received)
             self.proceed(victim, queue, context)
 
-    on_detections = on_picture = on_tracks
+    on_detections = on_picture = on_points = on_tracks
 
     def proceed(self, victim: Victim, queue: deque[Received], context: Context) -> None:
         """Attack the first messages of a queue, up to one whose pose has not arrived."""
@@ -231,6 +233,8 @@ class Adversary(Node):
             forward(message, context)
         elif schema == "detections":
             self.attack_detections(victim, message, pose, context)
+        elif schema == "points":
+            self.attack_points(victim, message, pose, context)
         else:
             self.attack_states(victim, message, pose, context)
         if schema == self.lie_type:
@@ -271,6 +275,15 @@ class Adversary(Node):
             forward(received, context)
         else:
             forward(received, context, forged_detections(received.body, sensor, tampering))
+
+    def attack_points(self, victim: Victim, received: Received, pose: Body, context: Context) -> None:
+        """Forward a scan with the points that the attack wants."""
+        points = Points.from_columns(received.body)
+        forged = victim.attack.forge_points(received.frame, received.time_ns, points, sensor_of(received.body, pose))
+        if forged is points:
+            forward(received, context)
+        else:
+            self.forward_changed(victim, received, {**received.body, **forged.columns()}, context)
 
     def attack_states(self, victim: Victim, received: Received, pose: Body, context: Context) -> None:
         """Send the coordinator an observation, then tamper with tracks or with a picture."""

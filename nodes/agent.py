@@ -7,6 +7,7 @@ frame: this frame's may arrive before or after it, and the result must not depen
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from mast_zenoh.arrays.geometry import (
     NO_OFFSET,
     NO_TURN,
     heading,
+    quaternion_from_rotation,
     rotation_from_quaternion,
     states_to_local,
     states_to_world,
@@ -26,6 +28,7 @@ from mast_zenoh.integrity.views import UNKNOWN_SPACE, SweptView, view_columns
 from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.sensing import LidarSensor, sensor_pose, to_world
+from mast_zenoh.sensing.point_detector import PointDetector, detected, nothing_detected
 from mast_zenoh.tracking.kalman import predicted
 from mast_zenoh.v2x.tracks import orientation_of, rotation_of
 from mast_zenoh.wiring.model import part_of
@@ -80,6 +83,8 @@ class Agent(Node):
     sensors: all of its sensors, if they are several, or measure at times of their own; empty: `lidar`, in every frame
     tracks_from: frame of reference of its published tracks: "world", or "agent": relative to where it is, as V2X
         messages are; with the axes of the world, or those of a vehicle to 0.1 deg, if it is mobile
+    detector: finds objects in the points of its only sensor, a lidar; None: it receives detections
+    late_frames: frames by which detections may be late: those of a slow detector
     measurement_times: False: treats measurements as made at the time of their frame; only to show the effect
     """
 
@@ -88,12 +93,14 @@ class Agent(Node):
         "clock": "clock",
         "pose": "pose",
         "detections": "detections",
+        "points": "points",
         "sweep": "sweep",
         "picture": "picture",
     }
     outputs = {"tracks": "tracks", "view": "view", "mission": "tracks", "status": "status"}
     affects = {
         "detections": {"tracks": 0, "mission": 0, "status": 0},
+        "points": {"tracks": 0, "mission": 0, "status": 0},
         "sweep": {"view": 0, "mission": 0},
         "picture": {"mission": 0},
     }
@@ -110,6 +117,8 @@ class Agent(Node):
         sensors: tuple[OwnSensor, ...] = (),
         measurement_times: bool = True,
         tracks_from: Literal["world", "agent"] = "world",
+        detector: PointDetector | None = None,
+        late_frames: int = 0,
     ) -> None:
         if status_every < 1:
             raise ValueError(f"status_every: found {status_every}, expected 1 or more")
@@ -117,14 +126,21 @@ class Agent(Node):
             raise ValueError(f"picture_age_s: found {picture_age_s}, expected 0 or more")
         if not unsupported_std_m > 0.0:
             raise ValueError(f"unsupported_std_m: found {unsupported_std_m}, expected more than 0")
+        if late_frames < 0:
+            raise ValueError(f"late_frames: found {late_frames}, expected 0 or more")
+        if detector is not None and len(sensors) > 1:
+            raise ValueError(
+                f"detector: found {len(sensors)} sensors, expected one, whose points it detects objects in"
+            )
         self.pipeline = pipeline
+        self.detector = detector
         self.sensors = sensors
         self.measurement_times = measurement_times
         self.tracks_from = tracks_from
         self.lidars = [lidar, *(sensor.lidar for sensor in sensors[1:])]
         self.members = ["detections", *(f"detections/{sensor.name}" for sensor in sensors[1:])]
         self.mobile = mobile
-        self.unused = () if acts else ("picture", "mission")
+        self.unused = ("points" if detector is None else "detections", *(() if acts else ("picture", "mission")))
         self.status_every = status_every
         self.picture_age_ns = round(picture_age_s * 1e9)
         self.unsupported_variance = unsupported_std_m**2
@@ -135,7 +151,10 @@ class Agent(Node):
         self.tracks = ObjectStates.empty()  # of the tracker's last step, at its time:
         self.tracks_ns = 0
         self.newest_ns = 0  # time of the last frame
-        self.clocks_ns = (-1, -1)  # greatest time of the frames before, and time of the newest
+        self.now_ns = -1  # time of the newest frame
+        #: greatest times until each of the frames before it: a measurement that is new is after the first of them
+        self.past_ns = deque([-1] * (late_frames + 1), maxlen=late_frames + 1)
+        self.poses: deque[tuple[int, Pose]] = deque(maxlen=late_frames + 1)  # of the latest frames, with their times
 
     def start(self, context: Context) -> None:
         """Wait for the sensor's sweep in each frame, if there is one."""
@@ -146,7 +165,8 @@ class Agent(Node):
         """Process frames whose pose or detections are missing with whatever has arrived."""
         for frame, items in self.sensed.expired(received.frame):
             self.perceive(frame, items, context)
-        self.clocks_ns = (max(self.clocks_ns), received.time_ns)
+        self.past_ns.append(max(self.past_ns[-1], self.now_ns))
+        self.now_ns = received.time_ns
         for row, member in enumerate(self.members):
             if not self.due(row, received.frame):
                 self.sensed.add(received.frame, member, None)  # nothing to wait for
@@ -166,6 +186,16 @@ class Agent(Node):
                 self.sense(member, None, context)  # the other sensors' data wait for nothing else
         else:
             self.sense(member, received, context)
+
+    def on_points(self, received: Received, context: Context) -> None:
+        """The points of its lidar: what it detects in them counts as its detections; nothing if its detector fails."""
+        assert self.detector is not None  # otherwise no wire leads here
+        try:
+            columns = detected(self.detector, received.body)
+        except Exception as error:  # it may be a user's
+            context.failed("detect", error)
+            columns = nothing_detected(received.body)
+        self.on_detections(received._replace(message=received.message._replace(body=columns)), context)
 
     def on_sweep(self, received: Received, context: Context) -> None:
         """How far its sensor sees in each direction."""
@@ -207,6 +237,8 @@ class Agent(Node):
         if pose is None or mount is None:
             return  # its pose or its sensor's mount has never arrived
         self.last, self.mount, self.newest_ns = pose, mount, time_ns
+        self.poses.append((time_ns, pose))
+        measured = [self.from_here(each, pose) for each in measured] if self.poses.maxlen != 1 else measured
         free = items["sweep"].body["free"] if "sweep" in items else None
         self.estimate(Perceived(frame, time_ns, pose, mount, measured, free), context)
 
@@ -286,6 +318,16 @@ class Agent(Node):
                 found.append(Measurement(measured_ns, row, detections, mount))
         return found, first
 
+    def from_here(self, late: Measurement, pose: Pose) -> Measurement:
+        """A measurement of an earlier frame, with its sensor's mount as seen from where the agent is now."""
+        before = next((known for time_ns, known in self.poses if time_ns == late.time_ns), pose)
+        if before is pose:
+            return late
+        position, rotation = sensor_in_world(before, late.mount)
+        here = rotation_from_quaternion(pose.quaternion)
+        mount = Pose(here.T @ (position - pose.position), quaternion_from_rotation(here.T @ rotation))
+        return late._replace(mount=mount)
+
     def due(self, row: int, frame: int) -> bool:
         """Whether a sensor sends a measurement in a frame. row: of the sensor"""
         return not self.sensors or self.sensors[row].due(frame)
@@ -295,7 +337,7 @@ class Agent(Node):
 
         A measurement that is new in a frame was made after the frame before it, and not after the frame.
         """
-        frame, time_ns, (before, now) = received.frame, received.time_ns, self.clocks_ns
+        frame, time_ns, before, now = received.frame, received.time_ns, self.past_ns[0], self.now_ns
         if frame > context.frame:
             return f"early: frame {frame} has not begun"
         if not self.due(row, frame):

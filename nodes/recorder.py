@@ -18,13 +18,18 @@ from mast_zenoh.wiring.model import ANY
 
 
 class Recorder(Node):
-    """Records messages; log: a path in the run folder."""
+    """Records messages.
+
+    log:    a path in the run folder
+    points: whether scans of lidars are recorded, too: a megabyte each
+    """
 
     role = "recorder"
     inputs = {"everything": ANY}
 
-    def __init__(self, log: MessageLog) -> None:
+    def __init__(self, log: MessageLog, points: bool = False) -> None:
         self.log = log
+        self.points = points
 
     def start(self, context: Context) -> None:
         """Open the log with all keys so far; nodes that are inserted later add theirs."""
@@ -45,6 +50,8 @@ class Recorder(Node):
 
     def on_everything(self, overheard: Overheard, context: Context) -> None:
         """Record a message, valid or not; of its body only completeness is checked."""
+        if overheard.wire.message == "points" and not self.points:
+            return
         payload = overheard.payload
         try:
             header = overheard.header

@@ -12,6 +12,7 @@ from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.mesh.hosting import main
 from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Source
+from mast_zenoh.scenes.making.scanning import ScannedPoints, Scanner
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Recording
 from mast_zenoh.wiring.model import subject_of
 
@@ -20,13 +21,22 @@ class Simulator(Source):
     """Replays a scene.
 
     recording: the prepared scene (its own file); frames: number of frames to play, None for all
+    points:    how the agents' first sensors are scanned; None: they detect as the prepared scene says
     """
 
     role = "simulator"
-    outputs = {"clock": "clock", "truth": "truth", "pose": "pose", "detections": "detections", "sweep": "sweep"}
+    outputs = {
+        "clock": "clock",
+        "truth": "truth",
+        "pose": "pose",
+        "points": "points",
+        "detections": "detections",
+        "sweep": "sweep",
+    }
 
-    def __init__(self, recording: Recording, frames: int | None = None) -> None:
-        self.recording = recording
+    def __init__(self, recording: Recording, frames: int | None = None, points: ScannedPoints | None = None) -> None:
+        self.recording, self.points = recording, points
+        self.scanner: Scanner | None = None
         self.period_ns = recording.period_ns
         self.frames = len(recording.times_ns) if frames is None else min(frames, len(recording.times_ns))
         self.next_frame = 0
@@ -35,6 +45,11 @@ class Simulator(Source):
         self.objects = np.array([agent.object_id for agent in agents], np.int64)
         self.rotations = quaternion_from_rotation(recording.agent_rotation)
         self.rotations.setflags(write=False)
+
+    def start(self, context: Context) -> None:
+        """Place what stands beside the roads, if lidars are scanned."""
+        if self.points is not None:
+            self.scanner = Scanner(self.recording, self.points, context.seed)
 
     def advance(self, context: Context) -> bool:
         """Publish the next frame: clock, truth, and each agent's pose, detections and sweep."""
@@ -57,12 +72,15 @@ class Simulator(Source):
             self.publish_detections(frame, index, context)
             if context.connected("sweep", agent.name):
                 context.publish("sweep", {"free": scene.sweep_at(frame, index)}, subject=agent.name)
-        truth = scene.truth_at(frame)
+        truth, returned = scene.truth_at(frame), scene.points_at(frame)
+        if self.scanner is not None:
+            agents = scene.agent_position[frame], scene.agent_rotation[frame], scene.agent_velocity[frame]
+            returned = self.scanner.publish(frame, truth, *agents, context.publish)
         context.publish(
             "truth",
             {
                 **{name: getattr(truth, name) for name in ("id", "position", "velocity", "size", "yaw", "class_id")},
-                "points": scene.points_at(frame),
+                "points": returned,
                 "agents": self.names,
                 "agent_position": scene.agent_position[frame],
                 "agent_object": self.objects,
@@ -78,6 +96,8 @@ class Simulator(Source):
         scene = self.recording
         agent = scene.agents[index]
         for row, sensor in enumerate(agent.sensors):
+            if self.scanner is not None and row == 0:
+                continue
             age_ns = scene.age_ns_at(frame, index, row)
             if age_ns == NO_MEASUREMENT:
                 continue

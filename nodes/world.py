@@ -21,6 +21,7 @@ from mast_zenoh.node import Context, Received, Source
 from mast_zenoh.scenes import Recording, Scene
 from mast_zenoh.scenes.base import SteppedWorld, check_cars
 from mast_zenoh.scenes.making.observe import FrameDetection, SweepCaster, World, lidar_visibility, most_seen
+from mast_zenoh.scenes.making.scanning import ScannedPoints, Scanner
 from mast_zenoh.wiring.model import subject_of
 
 
@@ -35,6 +36,7 @@ class WorldSimulator(Source):
     hold_s:    s, for which a car without commands goes on as it was told; then it brakes
     braking:   m/s², of a car without commands
     limits:    what the cars can do; None: CarLimits()
+    points:    as in nodes/simulator.py
 
     Raises ConfigurationError, at its start, for a scene that cannot be stepped, and for a name that is no car of it.
     """
@@ -46,6 +48,7 @@ class WorldSimulator(Source):
         "clock": "clock",
         "truth": "truth",
         "pose": "pose",
+        "points": "points",
         "detections": "detections",
         "sweep": "sweep",
         "route": "route",
@@ -61,10 +64,12 @@ class WorldSimulator(Source):
         hold_s: float = HOLD_S,
         braking: float = 3.0,
         limits: CarLimits | None = None,
+        points: ScannedPoints | None = None,
     ) -> None:
         check("0 or more, finite", take_over_s=take_over_s, hold_s=hold_s)
         check("more than 0, finite", braking=braking)
-        self.recording, self.scene, self.drivers = recording, scene, drivers
+        self.recording, self.scene, self.drivers, self.points = recording, scene, drivers, points
+        self.scanner: Scanner | None = None
         self.period_ns = recording.period_ns
         self.frames = min(frames, len(recording))
         self.take_over = round(take_over_s * 1e9 / self.period_ns)
@@ -82,6 +87,8 @@ class WorldSimulator(Source):
         check_cars(self.drivers, self.world.cars)
         present = self.world.now()
         self.detection = FrameDetection(present, self.world.detector, context.seed)
+        if self.points is not None:
+            self.scanner = Scanner(self.recording, self.points, context.seed)
         if present.buildings:  # without them nobody knows what is free
             self.sweeps = [SweepCaster(agent, self.detection.walls) for agent in present.agents]
 
@@ -134,6 +141,8 @@ class WorldSimulator(Source):
             context.publish("pose", pose, subject=agent.name)
             for number, sensor in enumerate(agent.sensors):
                 detections, _ = next(detected)
+                if self.scanner is not None and number == 0:
+                    continue
                 mount = {
                     "mount_position": sensor.lidar.mount_position,
                     "mount_rotation": quaternion_from_rotation(sensor.lidar.mount_rotation),
@@ -145,12 +154,16 @@ class WorldSimulator(Source):
                 if self.sweeps:
                     free = self.sweeps[row].sweep(present.truth, position, present.agent_rotation[0, row])
                 context.publish("sweep", {"free": free.astype(np.float64)}, subject=agent.name)
+        returned = most_seen(present, points, self.detection.walls)
+        if self.scanner is not None:
+            agents = present.agent_position[0], present.agent_rotation[0], present.agent_velocity[0]
+            returned = self.scanner.publish(frame, present.truth, *agents, context.publish)
         columns = ("id", "position", "velocity", "size", "yaw", "class_id")
         context.publish(
             "truth",
             {
                 **{name: getattr(present.truth, name) for name in columns},
-                "points": most_seen(present, points, self.detection.walls),
+                "points": returned,
                 "agents": text([agent.name for agent in present.agents]),
                 "agent_position": present.agent_position[0],
                 "agent_object": np.array([agent.object_id for agent in present.agents], np.int64),

@@ -29,6 +29,7 @@ from mast_zenoh.attacks.targets import Changes, Tampering, Targets, ViewForger
 from mast_zenoh.integrity.views import SweptView, check_view
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.sensing import sensor_pose, to_sensor, to_world
+from mast_zenoh.sensing.points import Points
 from mast_zenoh.tracking.view import SensorView
 from mast_zenoh.wiring.model import agent_of
 from mast_zenoh.wiring.received import Received
@@ -90,6 +91,14 @@ class Attack(Attacker):
         time_ns: ns, of the message; teller: the victim; agents: names of those a agents
         """
         return trust
+
+    def forge_points(self, frame: int, time_ns: int, points: Points, lidar: tuple[Floats, Floats]) -> Points:
+        """The points of a scan that the victim's detector is to get; by default the real ones, the same object.
+
+        frame, time_ns: of the scan, each once and in order; points: in the frame of the lidar
+        lidar: its position (3,) m and active rotation (3, 3), world frame
+        """
+        return points
 
     def forge(self, message: str, frame: int, time_ns: int, body: Body) -> Body:
         """The columns of a message of any other type that others are to receive; by default its own, as they are.
@@ -372,6 +381,10 @@ class CoordinatedAttack(TargetedAttack):
 POSES_KEPT = 16  #: frames by which a message may be late and still be attacked
 
 
+#: Types of messages that wait for the pose of their frame.
+WAITING = ("detections", "points", "tracks", "picture")
+
+
 class Victim:
     """One compromised agent, or one of its sensors: its poses, and the messages that wait for them.
 
@@ -384,7 +397,7 @@ class Victim:
         self.attack = attack
         self.poses: dict[int, Body] = {}
         self.last_view: tuple[bytes, SensorView] | None = None  # latest pose, and the view from it
-        self.waiting: dict[str, deque[Received]] = {"detections": deque(), "tracks": deque(), "picture": deque()}
+        self.waiting: dict[str, deque[Received]] = {name: deque() for name in WAITING}
         self.views: deque[Received] = deque()  # claimed views that wait for the lies of their frame
         self.attacked: deque[int] = deque(maxlen=POSES_KEPT)  # frames whose lies are known
         self.heard: dict[str, int] = {}  # frames of arrival of what its attack has heard, by type
@@ -410,13 +423,13 @@ Columns = dict[str, NDArray[Any]]
 SensorPose = tuple[Floats, Floats]
 
 
-def sensor_of(detections: Body, pose: Body) -> SensorPose:
-    """The pose of the sensor of a `detections` message; pose: of its agent."""
+def sensor_of(sensed: Body, pose: Body) -> SensorPose:
+    """The pose of the sensor of a `detections` or `points` message; pose: of its agent."""
     return sensor_pose(
         pose["position"],
         rotation_from_quaternion(pose["rotation"]),
-        detections["mount_position"],
-        rotation_from_quaternion(detections["mount_rotation"]),
+        sensed["mount_position"],
+        rotation_from_quaternion(sensed["mount_rotation"]),
     )
 
 

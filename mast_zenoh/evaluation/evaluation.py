@@ -65,6 +65,7 @@ def attacks(effects: Effects, agreement: Agreement, roles: Mapping[str, str], pe
     before_x, before_y, before_z, after_x, after_y, after_z: m, places in the world; missing if there is no such place
     vx, vy, vz: m/s, velocity in the world
     columns: the columns that differ, separated by spaces
+    points: of a lidar that were inserted or removed and make up the object; 0: not an effect on points
     delay_s: by which the message is later; missing: none
     reported: whether the interposer reported this effect
     label: number that the report gave to the target, or row of the link's rule; -1: none
@@ -85,6 +86,7 @@ def attacks(effects: Effects, agreement: Agreement, roles: Mapping[str, str], pe
         **{f"after_{axis}": effects.after[rows, i] for i, axis in enumerate("xyz")},
         **{f"v{axis}": effects.velocity[rows, i] for i, axis in enumerate("xyz")},
         "columns": effects.columns[rows],
+        "points": effects.points[rows],
         "delay_s": np.where(delay_ns != 0, delay_ns * 1e-9, np.nan),
         "reported": agreement.reported[rows],
         "label": agreement.label[rows],

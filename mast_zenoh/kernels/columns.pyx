@@ -29,6 +29,21 @@ cdef double sum_of_squares(const double* values, Py_ssize_t n) noexcept nogil:
     return (a + b) + (c + d)
 
 
+cdef double sum_of_single_squares(const float* values, Py_ssize_t n) noexcept nogil:
+    cdef double a = 0.0, b = 0.0, c = 0.0, d = 0.0
+    cdef Py_ssize_t k = 0
+    while k + 4 <= n:
+        a += <double>values[k] * values[k]
+        b += <double>values[k + 1] * values[k + 1]
+        c += <double>values[k + 2] * values[k + 2]
+        d += <double>values[k + 3] * values[k + 3]
+        k += 4
+    while k < n:
+        a += <double>values[k] * values[k]
+        k += 1
+    return (a + b) + (c + d)
+
+
 cdef np.ndarray read_only(object owner, void* data, int axes, np.npy_intp* shape, int kind):
     """A read-only array over the data of `owner`."""
     cdef np.ndarray array = np.PyArray_SimpleNewFromData(axes, shape, kind, data)
@@ -213,8 +228,11 @@ def sound_values(dict columns, tuple names, tuple limits):
             for text in array:
                 if not isinstance(text, str) or len(<str>text) > limit:
                     return INFINITY
-        elif kind == np.NPY_DOUBLE:
-            column_squares = sum_of_squares(<const double*>np.PyArray_DATA(array), np.PyArray_SIZE(array))
+        elif kind == np.NPY_DOUBLE or kind == np.NPY_FLOAT:
+            if kind == np.NPY_DOUBLE:
+                column_squares = sum_of_squares(<const double*>np.PyArray_DATA(array), np.PyArray_SIZE(array))
+            else:
+                column_squares = sum_of_single_squares(<const float*>np.PyArray_DATA(array), np.PyArray_SIZE(array))
             squares += column_squares
             if column_squares < limit:
                 return INFINITY

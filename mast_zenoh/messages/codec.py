@@ -93,7 +93,7 @@ def _converted(schema: str, column: str, array: Any, wire: np.dtype[Any]) -> NDA
         raise MessageError(f"{schema}.{column}: found {original.dtype}, expected {wire}")
     with np.errstate(all="ignore"):
         converted = np.ascontiguousarray(original, dtype=wire)
-        # rounding to float64 is not an error
+        # rounding to a float is not an error
         if wire.kind != "f" and not np.array_equal(original, converted):
             raise MessageError(f"{schema}.{column}: found {original.dtype} values that {wire} cannot represent")
     return converted.view(wire)  # also of a type that is equal to it, such as longlong
@@ -374,10 +374,10 @@ def _check_strings(schema: str, column: Column, strings: Sequence[object] | NDAr
 
 def _check_column(schema: str, column: Column, array: NDArray[Any]) -> None:
     """Check values: finite and plausible numbers, quaternions not zero, valid indices."""
-    if column.dtype == "float64":
+    if column.dtype in ("float64", "float32"):
         # One pass without temporaries: the sum of squares is not finite, or too large, if any value is.
         # The mean is limited, not the sum, so that a message collated from many valid ones is valid.
-        flat = array.reshape(-1)
+        flat = array.reshape(-1).astype(np.float64, copy=False)
         squares = np.vdot(flat, flat)
         if not squares <= MAX_SQUARES * max(len(flat), 1):
             raise MessageError(f"{schema}.{column.name}: a value is not finite or beyond {MAX_MAGNITUDE:g}")

@@ -20,12 +20,12 @@ from mast_zenoh.kernels import kernel
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Column, Schema
 
 MAX_BYTES = 16 * 1024 * 1024  #: limit of a message
-MAX_ROWS = 100_000  #: limit of a column
+MAX_ROWS = 200_000  #: limit of a column
 MAX_TEXT = 256  #: characters in one string
 MAX_MAGNITUDE = 1e9  #: limit of values in SI units, far above any scene; larger ones would overflow the filters
 
 #: By dtype of a column: its NumPy dtype in memory (little-endian), and its name in a message.
-WIRE_DTYPE = {name: np.dtype(name) for name in ("float64", "int64", "int32", "uint8")}
+WIRE_DTYPE = {name: np.dtype(name) for name in ("float64", "float32", "int64", "int32", "uint8")}
 DTYPE_NAME = {name: dtype.str for name, dtype in WIRE_DTYPE.items()} | {"str": "str"}
 TEXT = np.dtype(object)  #: of columns of text
 assert sys.byteorder == "little", "columns are sent with their bytes in memory order"
@@ -316,7 +316,7 @@ def exact_columns(
 
 @kernel
 def sound_values(columns: Mapping[str, NDArray[Any]], names: tuple[str, ...], limits: tuple[float, ...]) -> float:
-    """The sum of squares of all float64 values; infinite if any value is invalid.
+    """The sum of squares of all floating-point values; infinite if any value is invalid.
 
     columns: arrays of the names; limits: see `limit_of`
     """
@@ -328,8 +328,8 @@ def sound_values(columns: Mapping[str, NDArray[Any]], names: tuple[str, ...], li
             for item in array:
                 if not isinstance(item, str) or len(item) > limit:
                     return float("inf")
-        elif array.dtype == np.float64:
-            own = np.vdot(array, array)
+        elif array.dtype.kind == "f":
+            own = np.vdot(array.astype(np.float64), array)
             squares += own
             if own < limit:
                 return float("inf")

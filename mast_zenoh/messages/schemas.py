@@ -22,9 +22,9 @@ from mast_zenoh.arrays.states import CLASSES
 __all__ = ["BUILT_IN", "SCHEMAS", "Body", "Column", "Header", "Message", "Schema", "same_columns", "text"]
 
 #: The dtypes that a column can have. `str` is text.
-DTYPES = ("float64", "int64", "int32", "uint8", "str")
+DTYPES = ("float64", "float32", "int64", "int32", "uint8", "str")
 MAX_COLUMNS = 60  #: effects on rows keep a bit for each column
-MAX_SIZE = 100_000  #: the largest size of a shape, fixed or by letter
+MAX_SIZE = 200_000  #: the largest size of a shape, fixed or by letter
 MAX_AXES = 8
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
@@ -244,6 +244,27 @@ BUILT_IN: Mapping[str, Schema] = {
                 ),
                 Column(
                     "mount_rotation", "float64", (4,), "", "active quaternion w x y z, sensor to agent", **_ROTATION
+                ),
+            ),
+        ),
+        Schema(
+            "points",
+            1,
+            "the returns of one scan of an agent's lidar at `time_ns`, in the lidar's frame at that time",
+            (
+                Column("position", "float32", ("n", 3), "m", "without the lidar's own motion during the scan"),
+                Column("intensity", "float32", ("n",), "", "0 to 1, of a surface that reflects all light to the lidar"),
+                Column("time_s", "float32", ("n",), "s", "of the firing, from `time_ns`; 0: not known"),
+                Column("channel", "uint8", ("n",), "", "of the beam, from the lowest up"),
+                Column("mount_position", "float64", (3,), "m", "of the lidar at `time_ns`, in the agent's frame now"),
+                Column("mount_rotation", "float64", (4,), "", "active quaternion w x y z, lidar to agent", **_ROTATION),
+                Column(
+                    "level_rotation",
+                    "float64",
+                    (4,),
+                    "",
+                    "active quaternion w x y z, lidar to axes with z up, and x where the lidar faces",
+                    **_ROTATION,
                 ),
             ),
         ),

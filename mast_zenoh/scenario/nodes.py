@@ -18,7 +18,7 @@ from mast_zenoh.errors import ConfigurationError, NodeFileError, nearest
 from mast_zenoh.fusion.pipelines.agent import DUE, IDLE
 from mast_zenoh.metrics.achievement import ALL
 from mast_zenoh.run_folder.recording.writer import MessageLog
-from mast_zenoh.scenario import driving
+from mast_zenoh.scenario import driving, points
 from mast_zenoh.scenes.agents import best_pattern
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Recording
 from mast_zenoh.sensing import LidarSensor
@@ -29,7 +29,9 @@ ON_EXIT = ("fail", "continue", "restart")
 #: s, between two rows of a route.
 ROUTE_STEP_S = 0.5
 
-_DEFAULT_ON_EXIT = dict.fromkeys(("agent", "peer", "driver", "adversary", "coordinator", "link"), "continue")
+_DEFAULT_ON_EXIT = dict.fromkeys(
+    ("agent", "detector", "peer", "driver", "adversary", "coordinator", "link"), "continue"
+)
 #: Keys that the configuration of every node may have besides the node's parameters.
 CONTROLS = {
     "type": "name of the class in the node's file; needed if the file has several",
@@ -50,6 +52,7 @@ def nodes_of(
 ) -> dict[str, NodeSpec]:
     """The specs of all nodes except the links, the simulator first. scene: its spec"""
     specs: dict[str, NodeSpec] = {}
+    lidars = points.described(path, scenario)
 
     def add(name: str, role: str, config: Mapping[str, Any]) -> None:
         if name == ALL:
@@ -60,7 +63,8 @@ def nodes_of(
             raise ConfigurationError(f"{path}: {name}: another node already has this name")
         specs[name] = node_spec(path, name, role, config)
 
-    add("simulator", "simulator", driving.simulator_config(path, scenario, recording, frames, scene))
+    of_scene = driving.simulator_config(path, scenario, recording, frames, scene)
+    add("simulator", "simulator", {**of_scene, **points.of_simulator(lidars)})
     patterns = scenario.get("agents", {"*": {}})
     for row, agent in enumerate(recording.agents):
         pattern = best_pattern(patterns, agent.name)
@@ -68,7 +72,9 @@ def nodes_of(
             raise ConfigurationError(f"{path}: agents: no entry for {agent.name!r}{nearest(agent.name, patterns)}")
         if not isinstance(config := patterns[pattern], Mapping):
             raise ConfigurationError(f"{path}: agents: {agent.name}: found {config!r}, expected a dict")
-        add(agent.name, "agent", {**_scene_parameters(recording, row), **config})
+        add(agent.name, "agent", {**_scene_parameters(recording, row), **points.of_agent(lidars), **config})
+    for name, config in points.detectors(lidars, recording):
+        add(name, "detector", config)
     for role in ("broker", "command_center"):
         if scenario.get(role, {}) is not None:
             add(role, role, scenario.get(role, {}))
@@ -126,7 +132,8 @@ def nodes_of(
     for name, config in _checked_configs(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)
     if record:
-        add("recorder", "recorder", {"log": MessageLog()})
+        scans = {"points": True} if lidars.get("recorded") else {}
+        add("recorder", "recorder", {"log": MessageLog(), **scans})
     for name, spec in specs.items():
         integrity = _part(_part(spec.config, "pipeline"), "integrity")
         _check_anchors(integrity, agents, f"{path}: {name}: pipeline.integrity")

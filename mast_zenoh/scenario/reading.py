@@ -58,7 +58,7 @@ class RunOptions:
 RUN_DEFAULTS = asdict(RunOptions())
 #: Keys whose values are no dicts, and those of what a run can do without, which may be None.
 _NO_DICTS = ("name", "scene", *LISTS)
-_OPTIONAL = ("broker", "command_center", "channel", "coordinator")
+_OPTIONAL = ("points", "broker", "command_center", "channel", "coordinator")
 
 
 def normalise_keys(scenario: Mapping[str, Any], place: str) -> dict[str, Any]:

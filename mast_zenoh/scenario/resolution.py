@@ -25,7 +25,7 @@ from mast_zenoh.messages.packed import check_kernels
 from mast_zenoh.messages.schemas import Schema
 from mast_zenoh.metrics.estimates import DERIVED
 from mast_zenoh.node import Node
-from mast_zenoh.scenario import driving, reading
+from mast_zenoh.scenario import driving, points, reading
 from mast_zenoh.scenario.cooperation import check_cooperation, uncovered
 from mast_zenoh.scenario.nodes import add_input_limits, add_outside, nodes_of, share_faults
 from mast_zenoh.scenario.timeline import rewrites, timeline_of
@@ -75,11 +75,13 @@ def resolve(
         raise ConfigurationError(f"{path}: {error}") from None
     scene = registry.build(scene_spec, scenes.Scene, f"{path}: scene")
     cache_key = json.dumps(scene_spec, sort_keys=True)
-    recording = scenes.prepare(scene, options["seed"], options["frames"], cache_key)
+    lidars = points.described(path, scenario)
+    recording = points.equipped(path, lidars, scenes.prepare(scene, options["seed"], options["frames"], cache_key))
     n_frames = len(recording) if options["frames"] is None else min(options["frames"], len(recording))
     recorded = record and options["record"]
     nodes = nodes_of(path, scenario, recording, n_frames, recorded, scene_spec)
-    add_input_limits(nodes, fused_rows(_detections(recording)))
+    detections = _detections(recording) + (points.MORE_DETECTIONS if lidars else 0)
+    add_input_limits(nodes, fused_rows(detections))
     add_outside(path, nodes, outside)
     wired = partial(_wired, path, scenario, nodes)
     timeline = timeline_of(
@@ -113,7 +115,7 @@ def resolve(
         else None,
         messages=_messages(path, nodes),
         idle=(*timeline.idle, *uncovered(built, recording, n_frames)),
-        max_rows=_max_rows(recording, options["max_rows"]),
+        max_rows=_max_rows(recording, detections, options["max_rows"]),
         plugins=plugins.used_by(
             [*registry.type_names(scenario), *registry.type_names(scene_spec)],
             {spec.type: spec.file for spec in nodes.values() if Path(spec.file).parent != bundle.ROOT / "nodes"},
@@ -138,7 +140,8 @@ def _wired(
     built = {name: (spec, build_node(spec, name, str(path))) for name, spec in nodes.items()}
     user_types.use(_messages(path, nodes))
     inputs = {name: node.inputs.keys() - set(node.unused) for name, (_, node) in built.items()}
-    sources = _sources(path, scenario, [*driving.rewrites(nodes, inputs), *rewrites(links, nodes)])
+    lidars = points.rewrites(points.described(path, scenario))
+    sources = _sources(path, scenario, [*driving.rewrites(nodes, inputs), *lidars, *rewrites(links, nodes)])
     return built, sources, _wiring(path, built, sources, on_wires)
 
 
@@ -188,10 +191,10 @@ def _detections(recording: Recording) -> np.ndarray:
     return np.asarray(np.add.reduceat(counts, np.cumsum([0, *sensors[:-1]]), axis=1))
 
 
-def _max_rows(recording: Recording, per_agent: int | None) -> dict[str, int]:
+def _max_rows(recording: Recording, detections: np.ndarray, per_agent: int | None) -> dict[str, int]:
     """Limits on the rows of messages, from what the sensors of a scene detect; per_agent: the scenario's own."""
     objects = int(np.diff(recording.truth_start).max(initial=0))
-    return limits_for(_detections(recording), objects, per_agent)
+    return limits_for(detections, objects, per_agent)
 
 
 def _leeway_ns(nodes: Iterable[Node], recording: Recording, frames: int) -> int:

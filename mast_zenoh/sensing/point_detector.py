@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mast_zenoh.arrays.states import CLASSES, Detections, Floats
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.states import CLASSES, Detections
 from mast_zenoh.sensing.points import Points
 
 
@@ -56,14 +60,19 @@ def problem_of(found: object) -> str:
     return ""
 
 
-def detect_levelled(detector: PointDetector, points: Points, level: Floats) -> Detections:
-    """The detections of a scan in the lidar's own frame.
+def detected(detector: PointDetector, scan: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The columns of a `detections` message: what a detector finds in a scan, in the lidar's own frame.
 
-    points: in the lidar's frame; level: (3, 3) active, from that to the frame of `PointDetector.detect`
-    Raises ValueError for detections that cannot be.
+    scan: the columns of a `points` message. Raises ValueError for detections that cannot be.
     """
-    found = detector.detect(points.turned(level))
+    level = rotation_from_quaternion(scan["level_rotation"])
+    found = detector.detect(Points.from_columns(scan).turned(level))
     if problem := problem_of(found):
         raise ValueError(f"{type(detector).__name__}.detect: {problem}")
-    position = found.position @ level
-    return Detections(position, found.size, found.yaw, found.score, found.class_id, level.T @ found.covariance @ level)
+    own = found.columns() | {"position": found.position @ level, "covariance": level.T @ found.covariance @ level}
+    return nothing_detected(scan) | own
+
+
+def nothing_detected(scan: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """As `detected`, of a detector that finds nothing."""
+    return Detections.empty().columns() | {name: scan[name] for name in ("mount_position", "mount_rotation")}

@@ -32,6 +32,11 @@ class Walls:
     end: Floats
     top: Floats
 
+    def joined(self, other: Walls) -> Walls:
+        """These walls and others."""
+        ends = (np.concatenate([getattr(self, name), getattr(other, name)]) for name in ("start", "end", "top"))
+        return Walls(*ends)
+
     @classmethod
     def of_buildings(cls, outlines: tuple[Floats, ...], height: Floats) -> Walls:
         """The walls of closed outlines, each (k, 2), and the z of their tops (B,)."""

@@ -10,7 +10,7 @@ from mast_zenoh.wiring.model import Endpoint, agent_of, takes
 
 #: Roles that a map may name even where a scenario has no such node.
 ROLES = (
-    *("simulator", "agent", "broker", "command_center", "center", "peer", "channel", "driver"),
+    *("simulator", "agent", "broker", "command_center", "center", "peer", "channel", "driver", "detector"),
     *("adversary", "coordinator", "link", "evaluator", "recorder", "visualizer"),
 )
 

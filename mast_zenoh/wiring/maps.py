@@ -25,6 +25,11 @@ A map (TOML, or the same as a dict) lists wires. A rewrite changes them: it inse
     node = "adversary_1"                  # optional: only this node
     optional = true                       # optional: without nodes that lack the port, and if there is such a wire
 
+    [[publish]]
+    wire = "agent/{agent}/detections"
+    role = "detector"                     # instead of the wire's own publisher, where there is such a node
+    output = "detections"
+
     [[codec]]
     wire = "agent/{agent}/tracks"         # or one agent's wire
     codec = "cpm"                         # its messages travel as Collective Perception Messages, on all legs
@@ -53,8 +58,8 @@ That makes a branch, `K -> node -> K/@tap/{subscriber}/0 -> node -> K/@tap/{subs
 the order of the rewrites; only the key of that one subscriber changes. A branch begins where the trunk ends: nodes on
 the trunk come before all branches.
 
-All wires are resolved first, then the inserts in order, then the listeners. A listener receives K, after the trunk's
-interposers and before the branches, unless it asks for the source."""
+All wires are resolved first, then their publishers, then the inserts in order, then the listeners. A listener receives
+K, after the trunk's interposers and before the branches, unless it asks for the source."""
 
 from __future__ import annotations
 
@@ -98,6 +103,7 @@ KEYS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "wire": (("key", "message", "from", "to"), tuple(each.name for each in fields(Traits))),
     "insert": (("wire", "role"), ("input", "output", "to", "node", "optional")),
     "listen": (("wire", "role", "input"), ("leg", "node", "optional")),
+    "publish": (("wire", "role", "output"), ()),
     "codec": (("wire", "codec"), ()),
 }
 
@@ -163,6 +169,12 @@ def resolve(
                 raise WiringError(f"{place}: the key {wire.key!r} already has a publisher")
             wires[wire.key], places[wire.key] = wire, place
             templates[entry["key"]].append(wire.key)
+    for place, entry in _entries(sources, "publish"):
+        template = _template_of(entry["wire"], templates, place)
+        keys = templates[template] if entry["wire"] == template else [entry["wire"]]
+        _check_affected(entry, _placeholder(template), [wires[key] for key in keys], nodes, place)
+        for key in keys:
+            wires[key] = _published(wires[key], entry, nodes, place)
     for place, entry in _entries(sources, "insert"):
         if entry.get("optional") and not _refers(entry["wire"], templates):
             continue
@@ -342,6 +354,19 @@ def _refers(wire: object, templates: Mapping[str, list[str]], *, every: bool = F
         ),
         "",
     )
+
+
+def _published(wire: Wire, entry: Mapping[str, Any], nodes: Mapping[str, NodeOptions], place: str) -> Wire:
+    """The wire with the publisher of a `[[publish]]`; as it is if no node of the role belongs to it."""
+    placeholder = _placeholder(entry["wire"])
+    publishing = members(entry["role"], nodes, place, placeholder=placeholder, subject=wire.subject)
+    ends = ports(publishing, entry["output"], wire.message, place, output=True)
+    if not ends:
+        return wire
+    if len(ends) > 1 or ends[0].node in {end.node for end in wire.subscribers}:
+        names = ", ".join(end.node for end in ends)
+        raise WiringError(f"{place}: {wire.key!r}: found {names}, expected one publisher that does not subscribe to it")
+    return replace(wire, legs=(replace(wire.legs[0], publisher=ends[0]), *wire.legs[1:]))
 
 
 def _listen(wire: Wire, entry: Mapping[str, Any], nodes: Mapping[str, NodeOptions], place: str) -> Wire:

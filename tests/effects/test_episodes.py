@@ -28,6 +28,7 @@ def inserted(frame: list[int], place: list[tuple[float, float]], id_: list[int] 
         frames_late=zeros,
         time_ns=zeros,
         columns=np.full(n, "", object),
+        points=zeros,
     )
 
 

@@ -67,7 +67,7 @@ def test_every_message_is_unchanged_by_encoding_and_decoding(schema, n, a, m, k,
 @pytest.mark.parametrize("n", [0, 2, 40, 1500])  # data with a length of 1, 2 and 4 bytes
 def test_a_message_is_what_messagepack_makes_of_its_fields(schema: str, n: int) -> None:
     header, body = message = message_of(schema, {"n": n, "a": 3, "m": 2, "k": 2})
-    wire = {"float64": "<f8", "int64": "<i8", "int32": "<i4", "uint8": "|u1", "str": "str"}
+    wire = {"float64": "<f8", "float32": "<f4", "int64": "<i8", "int32": "<i4", "uint8": "|u1", "str": "str"}
     columns = {
         column.name: [wire[column.dtype], list(array.shape), list(array) if column.dtype == "str" else array.tobytes()]
         for column, array in zip(SCHEMAS[schema].columns, body.values(), strict=True)

@@ -24,9 +24,14 @@ def test_every_message_type_describes_its_columns(name: str) -> None:
     assert schema.meaning
     assert len({column.name for column in schema.columns}) == len(schema.columns)
     for column in schema.columns:
-        assert column.dtype in ("float64", "int64", "int32", "uint8", "str")
+        assert column.dtype in ("float64", "float32", "int64", "int32", "uint8", "str")
         assert all(size in ("n", "a", "m", "k") or (isinstance(size, int) and size > 0) for size in column.shape)
-        if column.dtype == "float64" and column.name.rpartition("_")[2] in ("position", "velocity", "size", "yaw"):
+        if column.dtype in ("float64", "float32") and column.name.rpartition("_")[2] in (
+            "position",
+            "velocity",
+            "size",
+            "yaw",
+        ):
             assert column.unit in ("m", "m/s", "rad")
         if column.dtype == "str":
             assert len(column.shape) == 1

@@ -161,7 +161,7 @@ A = Column("a", "int64", ("n",))
 @pytest.mark.parametrize(
     ("define", "message"),
     [
-        (lambda: Column("speed", "float32", (1,)), r"'speed'.*'float32'.*float64"),
+        (lambda: Column("speed", "float16", (1,)), r"'speed'.*'float16'.*float64"),
         (lambda: Column("Speed", "float64", (1,)), r"'Speed'.*lower-case letters"),
         (lambda: Column("speed", "float64", ()), "column 'speed': shape"),
         (lambda: Column("speed", "float64", (0,)), r"'speed': shape.*0"),

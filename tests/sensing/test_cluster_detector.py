@@ -169,7 +169,9 @@ def test_points_that_are_not_numbers_are_left_out() -> None:
 @pytest.mark.parametrize("yaw", [0.0, 0.4, 1.5, -1.0])
 def test_box_of_points_is_fitted_along_their_sides(yaw: float) -> None:
     along = np.linspace(-2.0, 2.0, 60)
-    sides = np.concatenate([np.column_stack([along, 0 * along - 0.9]), np.column_stack([0 * along - 2.0, along * 0.45])])
+    sides = np.concatenate(
+        [np.column_stack([along, 0 * along - 0.9]), np.column_stack([0 * along - 2.0, along * 0.45])]
+    )
     turned = sides @ np.array([(np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))])
     position = np.column_stack([turned + (500.0, -80.0), np.tile(np.linspace(0.2, 1.6, 60), 2)])
     middle, size, fitted = fit_box(position)

@@ -14,6 +14,7 @@ from mast_zenoh.arrays.states import Floats
 from mast_zenoh.errors import MessageError
 from mast_zenoh.evaluation.effects import rows
 from mast_zenoh.evaluation.effects.rows import ChangedMessage, ObjectChanges
+from mast_zenoh.evaluation.effects.scans import POINTS
 from mast_zenoh.gather import MAX_AGE_S
 from mast_zenoh.messages.schemas import same_columns
 from mast_zenoh.wiring.model import InterposedWire, Wiring
@@ -124,7 +125,7 @@ def _similarity(a: bytes, b: bytes) -> float:
     return float(np.count_nonzero(equal)) / longer if longer else 1.0
 
 
-#: Changed messages that are compared at once.
+#: Changed messages that are compared at once; scans are too large to wait.
 BATCH = 64
 
 #: ns; a change of a message's time by more counts for its objects, too. This applies to the message types whose
@@ -222,7 +223,7 @@ class PassageEffects:
             if abs(shift_ns) > RESTAMPED_NS and self._type in TIMED:
                 self._add_restamped(received, shift_ns)
         self._pending.append(ChangedMessage(header.frame, header.seq, received.step, before, after))
-        if len(self._pending) >= BATCH:
+        if len(self._pending) >= (1 if self._type == POINTS else BATCH):
             self.settle()
 
     def forget(self, before: int) -> None:

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from mast_zenoh.arrays.geometry import NO_OFFSET, NO_TURN
 from mast_zenoh.arrays.matching import min_cost_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints, within_runs
+from mast_zenoh.evaluation.effects import scans
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Header, Schema, text
 from mast_zenoh.metrics.assignment import find
 from mast_zenoh.metrics.causes import ALTERED, INSERTED, MOVED, REMOVED
+from mast_zenoh.sensing.points import Points
 
 #: Code of an unchanged object, in addition to the kinds of manipulation.
 UNCHANGED = -1
@@ -262,6 +264,7 @@ class ObjectChanges(NamedTuple):
     of_agent: whether these are relative to the agent (the mount of a sensor) instead of the world
     whole:    (k,) bool, the whole message was withheld, delayed, forged or reframed
     frames_late: (k,) delay of the message in frames
+    points:   (k,) of a lidar that make the object; 0: messages have none
     """
 
     frame: Ints
@@ -277,6 +280,7 @@ class ObjectChanges(NamedTuple):
     of_agent: bool
     whole: Bools
     frames_late: Ints
+    points: Ints
 
     def since(self, step: int) -> ObjectChanges:
         """The effects on messages that the interposer received in this frame of the run or later."""
@@ -295,6 +299,8 @@ def changed_objects(
     matchings, the one with the least total distance is chosen. Remaining rows were removed or inserted. The order of
     the rows does not matter. If the frame of reference of a message was changed, all its objects count.
     """
+    if message == scans.POINTS:
+        return changed_scans(messages)
     bodies = [item.before for item in messages], [item.after for item in messages]
     names, wide, message_columns = _columns(SCHEMAS[message])
     others = tuple(
@@ -334,7 +340,38 @@ def changed_objects(
         of_agent=_of_agent(bodies[0][0]),
         whole=effect == UNCHANGED,
         frames_late=np.zeros(len(chosen), np.int64),
+        points=np.zeros(len(chosen), np.int64),
     ), others
+
+
+def changed_scans(messages: Sequence[ChangedMessage]) -> tuple[ObjectChanges, tuple[tuple[str, ...], ...]]:
+    """As `changed_objects`, of scans: the objects that their points have lost or gained."""
+    found = [
+        (row, effect, position, points)
+        for row, item in enumerate(messages)
+        for effect, objects in zip((REMOVED, INSERTED), scans.compared(item.before, item.after), strict=True)
+        for position, points in objects
+    ]
+    row, effect, points = (np.array([each[k] for each in found], np.int64) for k in (0, 1, 3))
+    position = np.array([each[2] for each in found]).reshape(-1, 3)
+    gained = (effect == INSERTED)[:, None]
+    reference = np.stack([np.stack([_reference(item.before), _reference(item.after)]) for item in messages], axis=1)
+    return ObjectChanges(
+        *(np.array([getattr(item, name) for item in messages], np.int64)[row] for name in ("frame", "seq", "step")),
+        effect=effect,
+        columns=text([""] * len(found)),
+        id=np.full(len(found), -1, np.int64),
+        before=np.where(gained, np.nan, position),
+        after=np.where(gained, position, np.nan),
+        velocity=np.full((len(found), 3), np.nan),
+        references=reference[:, row],
+        of_agent=True,
+        whole=np.zeros(len(found), bool),
+        frames_late=np.zeros(len(found), np.int64),
+        points=points,
+    ), tuple(
+        tuple(name for name, column in item.before.items() if not _equal(column, item.after[name])) for item in messages
+    )
 
 
 def _compared(
@@ -374,7 +411,7 @@ def whole_message(
 
     They are as of a message that is compared with the same one without objects.
     """
-    rows = _columns(SCHEMAS[message]).rows
+    rows = _columns(SCHEMAS[message]).rows or (tuple(Points.empty().columns()) if message == scans.POINTS else ())
     emptied = {name: column[:0] if name in rows else column for name, column in body.items()}
     before, after = (body, emptied) if received else (emptied, body)
     changes, _ = changed_objects(message, [ChangedMessage(header.frame, header.seq, step, before, after)])

@@ -62,6 +62,7 @@ class Effects:
     frames_late: (n,) delay of the message in frames; 0: on time, or not sent
     time_ns:  (n,) ns, change of the time in the header
     columns:  (n,) str, names of the columns that were changed, separated by spaces
+    points:   (n,) of a lidar that make the object; 0: none, as objects of other messages
     """
 
     passages: tuple[InterposedWire, ...]
@@ -78,6 +79,7 @@ class Effects:
     frames_late: Ints
     time_ns: Ints
     columns: np.ndarray
+    points: Ints
 
     def __len__(self) -> int:
         return len(self.code)
@@ -114,6 +116,7 @@ _EMPTY: dict[str, np.ndarray] = {
     "frames_late": np.zeros(0, np.int64),
     "time_ns": np.zeros(0, np.int64),
     "columns": np.zeros(0, object),
+    "points": np.zeros(0, np.int64),
 }
 
 
@@ -126,7 +129,7 @@ def _messages(index: int, meter: PassageMeter) -> dict[str, np.ndarray]:
         columns[name] = np.array([getattr(each, name) for each in messages], np.int64)
     columns["columns"] = text([" ".join(each.columns) for each in messages])
     no_positions = {name: np.full((n, 3), np.nan) for name in ("before", "after", "velocity")}
-    return columns | no_positions | {"whole": np.zeros(n, bool)}
+    return columns | no_positions | {"whole": np.zeros(n, bool), "points": np.zeros(n, np.int64)}
 
 
 def _objects(index: int, meter: PassageMeter, poses: Poses) -> dict[str, np.ndarray]:
@@ -135,6 +138,7 @@ def _objects(index: int, meter: PassageMeter, poses: Poses) -> dict[str, np.ndar
     if not objects:
         return dict(_EMPTY)
     names = ("frame", "seq", "step", "effect", "columns", "id", "before", "after", "velocity", "whole", "frames_late")
+    names = (*names, "points")
     columns = {name: np.concatenate([getattr(part, name) for part in objects]) for name in names}
     references = np.concatenate([part.references for part in objects], axis=1)
     of_agent = objects[0].of_agent

@@ -206,7 +206,7 @@ def _column(column: Column, a: NDArray[Any], b: NDArray[Any]) -> Iterator[str]:
     first = tuple(int(index) for index in places[0])
     unit = f" {column.unit}" if column.unit else ""
     extent = f"; {len(places)} of {a.size} values differ"
-    if column.dtype in ("float64", "int64", "int32") and len(places) > 1:
+    if column.dtype in ("float64", "float32", "int64", "int32") and len(places) > 1:
         largest = np.max(np.abs(a[differs].astype(float) - b[differs].astype(float)))
         extent += f", by at most {largest:.3g}{unit}"
     yield f"{column.name}{_where(column, first)}: A {a[first]}{unit}, B {b[first]}{unit}{extent}"

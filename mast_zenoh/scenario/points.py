@@ -1,0 +1,97 @@
+"""The points of a scenario's lidars: how they are scanned, and where objects are detected in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from mast_zenoh.config import registry
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.scenes.making.scanning import ScannedPoints
+from mast_zenoh.scenes.recording import Recording
+
+#: The map of the wires of points; added where these leave the simulator.
+MAP = "points.toml"
+#: Where objects are detected in points: by a node between sensor and agent, by the agent, or where they are made.
+PLACES = ("detector", "agent", "simulator")
+#: Rows by which a detector of points may find more than the model of detections did, in a frame.
+MORE_DETECTIONS = 64
+#: Keys of the part: those of the scans, and what each of the others is.
+_SCANS = ("lidar", "returns", "clutter", "moving")
+_OTHERS = {
+    "detector": {"type": "ClusterDetector"},
+    "detected_by": "detector",
+    "late_frames": 0,
+    "node": {},
+    "recorded": False,
+}
+
+
+def described(path: Path, scenario: Mapping[str, Any]) -> dict[str, Any]:
+    """The `points` of a scenario with its defaults; empty: none, detections are modelled.
+
+    Raises ConfigurationError for an unknown key, and a place where nothing can be detected.
+    """
+    options = scenario.get("points")
+    if options is None:
+        return {}
+    for key in options:
+        if key not in (*_SCANS, *_OTHERS):
+            raise ConfigurationError(f"{path}: points.{key}: unknown key{nearest(key, (*_SCANS, *_OTHERS))}")
+    complete: dict[str, Any] = {**_OTHERS, **options}
+    place = complete["detected_by"]
+    if place not in PLACES:
+        raise ConfigurationError(f"{path}: points.detected_by: found {place!r}{nearest(str(place), PLACES)}")
+    if place != "detector" and complete["node"]:
+        raise ConfigurationError(
+            f"{path}: points.node: found {complete['node']!r}, expected it with detected_by=detector"
+        )
+    late = complete["late_frames"]
+    if type(late) is not int or late < 0 or (late and place != "detector"):
+        expected = "a whole number from 0" if place == "detector" else "0, as detected_by is not detector"
+        raise ConfigurationError(f"{path}: points.late_frames: found {late!r}, expected {expected}")
+    if type(complete["recorded"]) is not bool:
+        raise ConfigurationError(f"{path}: points.recorded: found {complete['recorded']!r}, expected True or False")
+    return complete
+
+
+def of_simulator(options: Mapping[str, Any]) -> dict[str, Any]:
+    """What the simulator is told: how to scan and, if it detects objects itself, how. options: as `described`"""
+    if not options:
+        return {}
+    detector = {"detector": options["detector"]} if options["detected_by"] == "simulator" else {}
+    scans = {key: options[key] for key in _SCANS if key in options}
+    return {"points": {"type": ScannedPoints.__name__, **scans, **detector}}
+
+
+def equipped(path: Path, options: Mapping[str, Any], recording: Recording) -> Recording:
+    """The recording with the lidars of the points; as it is without them. options: as `described`"""
+    if not options:
+        return recording
+    scans: ScannedPoints = registry.build(of_simulator(options)["points"], ScannedPoints, f"{path}: points")
+    try:
+        return scans.equipped(recording)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: points: {error}") from None
+
+
+def of_agent(options: Mapping[str, Any]) -> dict[str, Any]:
+    """What an agent is told: its detector, or how late the detections of a node may be."""
+    if not options:
+        return {}
+    late = {"late_frames": options["late_frames"]} if options["late_frames"] else {}
+    return late | ({"detector": options["detector"]} if options["detected_by"] == "agent" else {})
+
+
+def detectors(options: Mapping[str, Any], recording: Recording) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield (name, configuration) of the node that detects objects for each agent, if nodes do."""
+    if options and options["detected_by"] == "detector":
+        late = {"late_frames": options["late_frames"]} if options["late_frames"] else {}
+        for agent in recording.agent_names:
+            yield f"detector_{agent}", {"agent": agent, "detector": options["detector"], **late, **options["node"]}
+
+
+def rewrites(options: Mapping[str, Any]) -> list[str]:
+    """The map of points, if any leave the simulator."""
+    return [MAP] if options and options["detected_by"] != "simulator" else []

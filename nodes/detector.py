@@ -1,0 +1,68 @@
+"""A detector: what is among the points of a lidar. A process between the sensor and its agent.
+
+It gets the points alone, of simulated and of recorded lidars alike, and never the truth.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+from mast_zenoh.mesh.hosting import main
+from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.sensing.point_detector import PointDetector, detected, nothing_detected
+
+
+class DetectorNode(Node):
+    """Detects objects in the scans of an agent's lidar.
+
+    detector:    the algorithm
+    agent:       whose lidar it is
+    late_frames: frames after which it publishes what it has found, with the time of the scan: how late a slow detector
+                 is. In lock-step nothing else makes it late; in real time, its own time comes on top.
+    """
+
+    role = "detector"
+    inputs = {"clock": "clock", "points": "points"}
+    outputs = {"detections": "detections"}
+
+    def __init__(self, detector: PointDetector, agent: str, late_frames: int = 0) -> None:
+        if late_frames < 0:
+            raise ValueError(f"late_frames: found {late_frames}, expected 0 or more")
+        self.detector, self.agent, self.late_frames = detector, agent, late_frames
+        self.affects = {"points": {"detections": late_frames}}  # type: ignore[misc]  # depends on how it is configured
+        self.found: deque[tuple[int, dict[str, Any]]] = deque()  # that wait: time of the scan, columns
+        self.counts = {"scans": 0, "points": 0, "detections": 0}
+        self.oldest_ns = 0
+
+    def on_clock(self, received: Received, context: Context) -> None:
+        """A frame begins: from now on, `context` tells the time."""
+
+    def on_points(self, received: Received, context: Context) -> None:
+        """Detect objects in a scan, and publish those of the scan that is due.
+
+        Where the detector fails, which fails the run, there are none.
+        """
+        try:
+            columns = detected(self.detector, received.body)
+        except Exception as error:  # it may be a user's
+            context.failed("detect", error)
+            columns = nothing_detected(received.body)
+        self.counts["scans"] += 1
+        self.counts["points"] += len(received.body["position"])
+        self.counts["detections"] += len(columns["yaw"])
+        self.found.append((received.time_ns, columns))
+        if len(self.found) > self.late_frames:
+            time_ns, columns = self.found.popleft()
+        else:  # of the first scan, nothing is known yet
+            time_ns, columns = self.found[0][0], nothing_detected(received.body)
+        self.oldest_ns = max(self.oldest_ns, context.now_ns - time_ns)
+        context.publish("detections", columns, frame=received.frame, time_ns=time_ns)
+
+    def finish(self, context: Context) -> dict[str, Any]:
+        """Numbers of scans, points and detections, and s, the age of the oldest detections when they were sent."""
+        return {**self.counts, "oldest_s": self.oldest_ns * 1e-9}
+
+
+if __name__ == "__main__":
+    main(DetectorNode)
