@@ -25,6 +25,7 @@ from mast_zenoh.evaluation.driven import PlayedDrivers, check_played, driver_por
 from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth, TrueFrame
 from mast_zenoh.evaluation.effects import ReportedPose
 from mast_zenoh.evaluation.estimate_wires import estimates_on
+from mast_zenoh.evaluation.from_effects import SENSED
 from mast_zenoh.evaluation.run_data import ArrivedEstimate, Heard, OwnView
 from mast_zenoh.gather import plausible_rows
 from mast_zenoh.integrity.views import check_view, view_of
@@ -377,7 +378,7 @@ def routes(
     takes: dict[str, str] = {}
     shared: dict[str, str] = {}
     ports = driver_ports(wiring, played)
-    sensed = {agent_of(wire.subject) for wire in wiring.wires if wire.interposers and wire.message == "detections"}
+    sensed = {agent_of(wire.subject) for wire in wiring.wires if wire.interposers and wire.message in SENSED}
     for wire in wiring.wires:
         source = wire.legs[0]
         if len(wire.every_leg) > 1:

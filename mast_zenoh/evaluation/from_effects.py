@@ -24,8 +24,8 @@ from mast_zenoh.wiring.model import InterposedWire, agent_of
 #: Columns that say nothing of where an object is, or will be.
 _OF_BOX = {"size", "yaw", "class_id"}
 
-#: Types of messages from sensors to their agent: a single one makes and loses no track.
-_SENSED = ("detections", "points")
+#: Types of messages from sensors, in their frame: a single one makes and loses no track.
+SENSED = ("detections", "points")
 
 #: Share of the frames of a second in which an agent that tracks an object sees it.
 SEEN_SHARE = 0.8
@@ -60,7 +60,7 @@ def manipulations(
 
     inserted, episode, velocity = insertions(effects, period_s)
     hidden, kind, columns = _hidden(effects, limits)
-    of_tracks = np.array([interposed.message not in _SENSED for interposed in effects.passages], bool)
+    of_tracks = np.array([interposed.message not in SENSED for interposed in effects.passages], bool)
     of_box = np.array([set() < names <= _OF_BOX for names in columns], bool)
     of_box &= (kind == ALTERED) & of_tracks[effects.passage[hidden]]
     renamed = effects.passage[hidden[np.array(["id" in names for names in columns], bool)]]
@@ -107,7 +107,7 @@ def _lasts(passage: InterposedWire, is_link: bool, limits: AttributionLimits, pe
 
     Effects of links on tracks count only in their own frame; missing objects in the picture: `metrics.cut_off`.
     """
-    if not is_link or passage.message in (*_SENSED, "pose"):
+    if not is_link or passage.message in (*SENSED, "pose"):
         return round(limits.coast_s / period_s)
     return round(limits.late_picture_s / period_s) if passage.message == "picture" else 0
 
@@ -208,7 +208,7 @@ def without_unseen(
     for index, passage in enumerate(effects.passages):
         rows = (removed & (manipulations.passage == index)).nonzero()[0]
         agent = agent_of(passage.subject)
-        if not len(rows) or passage.message not in _SENSED or agent not in agents:
+        if not len(rows) or passage.message not in SENSED or agent not in agents:
             continue
         seen = scores.truth.points[:, agents.index(agent)] >= min_points
         seen_keys = truth_keys[0][seen], truth_keys[1][seen]

@@ -239,7 +239,7 @@ def rates(frames: int, wall_s: float) -> dict[str, Any]:
 
 #: Types of the messages of which a scene is made.
 _SCENE_TYPES = ("truth", "pose", "detections", "sweep")
-#: Such messages of the simulator by type and subject: bodies by frame.
+#: Such messages by type and subject, as they are published: bodies by frame.
 _SceneMessages = Mapping[tuple[str, str], Mapping[int, Body]]
 
 
@@ -263,15 +263,10 @@ def write_driven_scene(folder: Path, resolved: Resolved) -> str:
 
 
 def _scene_messages(folder: Path, resolved: Resolved) -> _SceneMessages:
-    """What the simulator sent."""
-    simulator = driver_of(resolved.nodes)
-    legs = [
-        (wire, leg)
-        for wire, leg in Wiring.from_json(resolved.wiring).legs()
-        if leg.publisher.node == simulator and wire.message in _SCENE_TYPES
-    ]
-    keys = {leg.key: (wire.message, wire.subject) for wire, leg in legs}
-    wires = {wire.key for wire, _ in legs}
+    """What the simulator sent, and what was detected in its points."""
+    of_scene = [wire for wire in Wiring.from_json(resolved.wiring).wires if wire.message in _SCENE_TYPES]
+    keys = {wire.legs[0].key: (wire.message, wire.subject) for wire in of_scene}
+    wires = {wire.key for wire in of_scene}
     sent: dict[tuple[str, str], dict[int, Body]] = defaultdict(dict)
     for message in read(folder, lambda channel: channel.get("wire") in wires):
         if message.key in keys:  # not what interposers forward
@@ -288,7 +283,8 @@ def _driven_recording(prepared: Recording, sent: _SceneMessages) -> Recording:
         for agent in prepared.agents
         for row, sensor in enumerate(agent.sensors)
     ]
-    wires = [("truth", ""), *(("pose", name) for name in agents), *(("detections", name) for name in sensors)]
+    sensors_sent = [name for name in sensors if ("detections", name) in sent]  # agents may detect objects themselves
+    wires = [("truth", ""), *(("pose", name) for name in agents), *(("detections", name) for name in sensors_sent)]
     whole = set.intersection(*(set(sent.get(wire, {})) for wire in wires))
     frames = range(next((k for k in range(len(prepared)) if k not in whole), len(prepared)))
     if not frames:
@@ -298,7 +294,8 @@ def _driven_recording(prepared: Recording, sent: _SceneMessages) -> Recording:
         return np.array([[sent[port, subject][k][name] for subject in subjects] for k in frames])
 
     truth = [sent["truth", ""][k] for k in frames]
-    detected = [sent["detections", sensor][k] for k in frames for sensor in sensors]
+    nothing = Detections.empty().columns()
+    detected = [sent.get(("detections", name), {}).get(k, nothing) for k in frames for name in sensors]
     swept = [("sweep", name) for name in agents]
     sweeps: tuple[Any, ...] = ()
     if all(set(frames) <= sent.get(wire, {}).keys() for wire in swept):

@@ -38,7 +38,8 @@ class Interposer:
     objects:  by effect of OF_OBJECTS, number of scene objects in its rows, and whether some rows are clutter; only
               where this is known for all rows
     reframed: how many of its reframed messages are of a type with words of its own: view, what an agent says it sees,
-              or command, what a driver tells its car
+              command, what a driver tells its car, or scan, the points of a lidar
+    points:   by effect, number of points of a lidar that make up the objects of its rows
     """
 
     name: str
@@ -59,6 +60,7 @@ class Interposer:
     failed_frames: int = 0
     objects: Mapping[str, tuple[int, bool]] = field(default_factory=dict)
     reframed: Mapping[str, int] = field(default_factory=dict)
+    points: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def is_link(self) -> bool:
@@ -159,6 +161,7 @@ def interposers(run: Run) -> tuple[Interposer, ...]:
                 failed_frames=failed_frames,
                 objects=_objects(run, node, summary.get("effects") or {}),
                 reframed=_reframed(run, node, summary.get("effects") or {}),
+                points=_points(run, node),
             )
         )
     return tuple(sorted(result, key=lambda each: (each.is_link, not each.changed and not each.failures)))
@@ -208,16 +211,27 @@ def _objects(run: Run, node: str, effects: Mapping[str, int]) -> dict[str, tuple
 
 
 def _reframed(run: Run, node: str, effects: Mapping[str, int]) -> dict[str, int]:
-    """How many of the messages that a node reframed are views or commands, by type; at most as many as it reframed."""
+    """How many of the messages that a node reframed are views, commands or scans; at most as many as it reframed."""
     table, left, result = run.manipulations, effects.get("reframed", 0), {}
     if table is None or not left:
         return {}
     changed = table["message"][(table["interposer"] == node) & (table["effect"] == "reframed")]
-    for message in ("view", "command"):
+    for message, name in {"view": "view", "command": "command", "points": "scan"}.items():
         if number := min(int((changed == message).sum()), left):
-            result[message] = number
+            result[name] = number
             left -= number
     return result
+
+
+def _points(run: Run, node: str) -> dict[str, int]:
+    """How many points a node inserted and removed, by effect; none of a run from before they were counted."""
+    table = run.manipulations
+    if table is None or "points" not in table:
+        return {}
+    rows = (table["interposer"] == node) & (table["points"] > 0)
+    return {
+        effect: int(table["points"][rows & (table["effect"] == effect)].sum()) for effect in set(table["effect"][rows])
+    }
 
 
 def n_failed_frames(failures: Sequence[Mapping[str, Any]]) -> int:

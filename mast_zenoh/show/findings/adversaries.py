@@ -11,7 +11,7 @@ import numpy as np
 from mast_zenoh.arrays.states import Bools
 from mast_zenoh.metrics.achievement import DISPLACED_M
 from mast_zenoh.metrics.assignment import Places, nearest, occurs
-from mast_zenoh.metrics.estimates import LOCAL, PICTURE
+from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE
 from mast_zenoh.run_folder.finding import Finding
 from mast_zenoh.runs.files import Table, are_in, column, rows
 from mast_zenoh.runs.interposers import BAD, OF_OBJECTS, WITH_COLUMN, Interposer, hostile, interposers
@@ -80,6 +80,7 @@ def attacks(run: Run) -> list[Finding]:
         changed = None if each.effects is None else each.changed
         described = (each.name,), each.description, changed, None, "", each.place, when
         result.append(Finding("attack", *described, parts=effects(each)))
+        result += made_of_points(run, each)
         if each.verdict in BAD:
             result.append(Finding("verdict", (each.name,), each.verdict, each.failed_frames))
     directors = tuple(name for name in run.files.record.get("nodes", {}) if run.role(name) == "coordinator")
@@ -99,8 +100,30 @@ def effects(interposer: Interposer) -> tuple[Finding, ...]:
         number, clutter = interposer.objects.get(effect, (0, False))
         who, unit = ("clutter",) * clutter, "rows" if effect in OF_OBJECTS else "messages"
         parts.append(Finding("effect", who, effect, counts[effect], number or None, unit))
+    parts += [Finding("effect", what=of, value=n, unit="points") for of, n in sorted(interposer.points.items())]
     named = interposer.reframed.items()
     return (*parts, *(Finding("effect", what="changed", value=number, unit=f"{of}s") for of, number in named))
+
+
+def made_of_points(run: Run, interposer: Interposer) -> list[Finding]:
+    """Of how many points in a scan the false objects are made that an interposer showed, by estimate."""
+    table, objects = run.manipulations, run.files.objects
+    if table is None or objects is None or not interposer.points.get("inserted"):
+        return []
+    inserted = (table["interposer"] == interposer.name) & (table["effect"] == "inserted") & (table["points"] > 0)
+    result = []
+    for estimator in (PICTURE, MISSION):
+        false = (objects["estimator"] == estimator) & (objects["agent"] == run.ego) & (objects["cause"] == "inserted")
+        false &= np.array([interposer.name in by.split("+") for by in objects["by"].tolist()], bool)
+        frames = np.unique(objects["frame"][false])
+        rows = inserted & np.isin(table["frame"], frames)
+        if rows.any():
+            points = float(table["points"][rows].sum()) / len(np.unique(table["frame"][rows]))
+            who = interposer.name, *interposer.agents[:1]
+            result.append(
+                Finding("made_of", who, value=round(points), other=len(frames), unit="points", where=estimator)
+            )
+    return result
 
 
 def period(run: Run, first: int, last: int) -> tuple[float, float]:
