@@ -1,21 +1,30 @@
-"""Sensing: lidar visibility, detection models and sensor frames."""
+"""Sensing: lidar visibility, scans and points, detectors of points, detection models and sensor frames."""
 
+from mast_zenoh.sensing.beams import Beams, LidarModel
 from mast_zenoh.sensing.cluster_detector import ClusterDetector, fit_box
+from mast_zenoh.sensing.clutter import Clutter
 from mast_zenoh.sensing.detection_model import CleanDetector, DetectionModel, Detector, LastingErrors
 from mast_zenoh.sensing.point_detector import NoDetections, PointDetector
+from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.raycast import Walls, lidar_points
+from mast_zenoh.sensing.returns import Returns
 from mast_zenoh.sensing.sensors import Camera, LidarSensor, in_view, sensor_pose, to_sensor, to_world
 
 __all__ = [
+    "Beams",
     "Camera",
     "CleanDetector",
     "ClusterDetector",
+    "Clutter",
     "DetectionModel",
     "Detector",
     "LastingErrors",
+    "LidarModel",
     "LidarSensor",
     "NoDetections",
     "PointDetector",
+    "Points",
+    "Returns",
     "Walls",
     "fit_box",
     "in_view",

@@ -123,11 +123,11 @@ def measured_points(
 class _Particles(NamedTuple):
     """Where the first particle on a beam is that returns enough light, if there is one.
 
-    count: of the draws of 20 bits, those below it have one;  range_m: (count,) m, by draw
-    scale: (count,) of what it has above the limit, an exponential number: of the power, of a drop of its root
+    below: of the draws of 20 bits, those below it have one;  range_m: (below,) m, by draw
+    scale: (below,) of what it has above the limit, an exponential number: of the power, of a drop of its root
     """
 
-    count: int
+    below: int
     range_m: Singles
     scale: Singles
 
@@ -210,8 +210,8 @@ class Returns:
             echoes = self._with_particles(echoes, draws, beams.min_range_m)
         unit = _DARK / self.dark_range_m**2
         receiver = Receiver(self._noise, self._least, unit, beams.min_range_m, beams.max_range_m)
-        *columns, source = measured_points(echoes, draws, receiver, _firings(beams, lidar, mount))
-        return Points(*columns), source
+        columns = measured_points(echoes, draws, receiver, _firings(beams, lidar, mount))
+        return Points(*columns[:4]), columns[4]
 
     @cached_property
     def _extinction(self) -> float:
@@ -235,13 +235,16 @@ class Returns:
         share = np.float32(0.5) - _uniform(_place(draws)) * np.float32(beams.step / self.divergence_rad)
         last = echoes
         for side in (1, -1):
-            range_m, source, power = (np.roll(each, side, axis=0) for each in echoes)
-            power *= share
+            range_m, source = np.roll(echoes.range_m, side, axis=0), np.roll(echoes.source, side, axis=0)
+            power = np.roll(echoes.power, side, axis=0) * share
             behind = (range_m < np.inf) & (range_m > last.range_m + np.float32(_PULSE_M)) & (power >= least)
             if len(beams.azimuth) < beams.turn:
                 behind[0 if side == 1 else -1] = False  # no azimuth is beside it
-            other = range_m, source, power
-            last = Echoes(*(np.where(behind, *each) for each in zip(other, last, strict=True)))
+            last = Echoes(
+                np.where(behind, range_m, last.range_m),
+                np.where(behind, source, last.source),
+                np.where(behind, power, last.power),
+            )
         return last
 
     def _particles(self, min_range_m: float) -> _Particles:
@@ -271,10 +274,10 @@ class Returns:
     def _with_particles(self, echoes: Echoes, draws: NDArray[np.uint64], min_range_m: float) -> Echoes:
         """The echoes, with particles where these are reported instead of surfaces."""
         particles, every = self._particles(min_range_m), draws.ravel()
-        beam = np.flatnonzero(_place(every) < particles.count)
+        beam = np.flatnonzero(_place(every) < particles.below)
         chance = every[beam]
         rows, least = _place(chance), self._least[_fade(chance)]
-        range_m, source, power = (each.ravel() for each in (echoes.range_m, echoes.source.copy(), echoes.power))
+        range_m, source, power = echoes.range_m.ravel(), echoes.source.flatten(), echoes.power.ravel()
         more = -np.log(_uniform(chance >> np.uint64(64 - _PLACE_BITS))) * particles.scale[rows]
         near, returned = particles.range_m[rows], 1.0 + more
         if self.rain_mm_h > 0.0:
@@ -285,7 +288,7 @@ class Returns:
         beam = beam[instead]
         range_m[beam], power[beam] = near[instead], returned[instead]
         source[beam] = RAIN if self.rain_mm_h > 0.0 else DUST
-        return Echoes(*(each.reshape(draws.shape) for each in (range_m, source, power)))
+        return Echoes(range_m.reshape(draws.shape), source.reshape(draws.shape), power.reshape(draws.shape))
 
 
 #: 1/m^3/mm, of raindrops by diameter: Marshall and Palmer 1948.

@@ -267,11 +267,17 @@ def message_of_ros(block: Block, folder: Path) -> None:
     assert decode(key.type_name, names["payload"]).header.frame_id == "map"
 
 
+def points_of_a_scan(block: Block, folder: Path) -> None:
+    names = executed(block)
+    assert 0 < (names["source"] == 0).sum() < len(names["points"])
+
+
 #: By page the function that runs its Python blocks in order; None: another test runs them.
 RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
     "explanation-determinism.md": [simulated_run] * 3,
     "explanation-driving.md": [whole_scenario, played_scenario],
     "explanation-metrics-and-causes.md": [None],  # test_facts_of_pages.py
+    "explanation-points.md": [points_of_a_scan],
     "explanation-security.md": [attempts_of_ones_own],
     "explanation-threat-model.md": [draws_of_the_authors_software],
     "explanation-tracking-and-fusion.md": [tracking_by_hand, whole_scenario],
