@@ -202,6 +202,8 @@ _BASES: Mapping[str, Mapping[str, type]] = {
         "scenes: ground truth": scenes.Scene,
         "detectors: detections from lidar visibility": sensing.Detector,
         "detectors of points: detections from the scan of a lidar": sensing.PointDetector,
+        "returns: points from the scan of a lidar": sensing.Returns,
+        "clutter: still objects that nobody reports": sensing.Clutter,
         "sensors of agents": scenes.Sensor,
     },
     "links": {"rules: effects of a link on messages": links.Rule},

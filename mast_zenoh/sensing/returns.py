@@ -141,13 +141,13 @@ class Returns:
                       have 50 m for the HDL-64E, 80 m for the XT32, 90 m for the OS1 and 200 m for the AT128
     fading:           standard deviation of the logarithm of the power
     dropout:          share of returns lost at random
-    ground_reflectivity, wall_reflectivity: 0 to 1; asphalt and concrete by default (Wehr and Lohr 1999, table 1)
+    ground_reflectivity, wall_reflectivity: 0 to 1, of asphalt and concrete by default (Wehr and Lohr 1999, table 1)
     roughness_rad:    rad, of surfaces, Oren and Nayar 1994; 0: Lambertian
     returns:          which of two is reported: the strongest or the last. There are two where rain or dust is before a
                       surface and, for "last", where the footprint of a beam reaches over an edge to the next azimuth
     divergence_rad:   rad, full angle of a beam; 3 mrad of the VLP-16 (Velodyne 63-9243)
-    rain_mm_h:        mm/h: drops by Marshall and Palmer 1948, twice their area is extinct
-    visibility_m:     m, in dust, by Koschmieder; inf: none. Rain and dust exclude each other
+    rain_mm_h:        mm/h, of rain: drops by Marshall and Palmer 1948, twice their area is extinct
+    visibility_m:     m, in dust, by Koschmieder; 0: no dust. Rain and dust exclude each other
 
     Errors: ValueError for a number that is not as described.
     """
@@ -162,7 +162,7 @@ class Returns:
     returns: Literal["strongest", "last"] = "strongest"
     divergence_rad: float = 0.003
     rain_mm_h: float = 0.0
-    visibility_m: float = np.inf
+    visibility_m: float = 0.0
     _known: dict[float, _Particles] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -171,10 +171,10 @@ class Returns:
         check("0 to 1", dropout=self.dropout)
         check("0 to 1", ground_reflectivity=self.ground_reflectivity, wall_reflectivity=self.wall_reflectivity)
         check("0 to 1000", rain_mm_h=self.rain_mm_h)
-        check("more than 0", visibility_m=self.visibility_m)
+        check("0 or more, finite", visibility_m=self.visibility_m)
         if self.returns not in ("strongest", "last"):
             raise ValueError(f"returns: found {self.returns!r}, expected 'strongest' or 'last'")
-        if self.rain_mm_h > 0.0 and self.visibility_m < np.inf:
+        if self.rain_mm_h > 0.0 and self.visibility_m > 0.0:
             raise ValueError(f"visibility_m: found {self.visibility_m} with rain_mm_h, expected one of them")
 
     def measure(
@@ -218,7 +218,7 @@ class Returns:
         """1/m."""
         if self.rain_mm_h > 0.0:
             return np.pi * _DROPS / _slope(self.rain_mm_h) ** 3 * 1e-6
-        return float(-np.log(0.02) / self.visibility_m)
+        return float(-np.log(0.02) / self.visibility_m) if self.visibility_m > 0.0 else 0.0
 
     @cached_property
     def _noise(self) -> Singles:
