@@ -7,6 +7,7 @@ against the parts of an object only in the window of azimuths and channels that 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -66,6 +67,7 @@ def cast(
     ground_m: m, z of the ground, world frame, where the lidar is
     own:      row of the object that carries the lidar, which its beams do not meet; -1: none
     """
+    _keep_freed_memory()
     still = walls if walls is not None else Walls.of_buildings((), np.zeros(0))
     return Scan(
         *nearest_surfaces(
@@ -80,6 +82,15 @@ def cast(
             beams.max_range_m,
         )
     )
+
+
+@cache
+def _keep_freed_memory() -> None:
+    """Let glibc keep what scans free for the next ones: page faults take longer than scans do.
+
+    Freeing a block raises the size up to which it asks the system for none of its own (mallopt(3), M_MMAP_THRESHOLD).
+    """
+    np.empty(1 << 24, np.uint8)
 
 
 class Place(NamedTuple):
