@@ -30,6 +30,8 @@ _TALLEST, _OVERHEAD, _PIT = 4200, 4500, 100
 _MAY_BE_BELOW, _LONGEST = 2600, 14_000
 #: mm a mm, how fast the ground may rise over cells without points.
 _UNSEEN_SLOPE = 0.01
+#: Tangent of the angle between two channels of common lidars.
+_CHANNEL = 0.007
 #: Keeps a plane level where few points say otherwise: as many m² of points, unless steep.
 _STIFF = np.diag([0.0, 1e3, 1e3])
 #: deg, between turns of a rectangle; of them, how many are skipped in a first search.
@@ -313,13 +315,15 @@ _KINDS = {
 }
 _CLASS_IDS = np.array([CLASS_INDEX[name] for name in _KINDS], np.uint8)
 _USUAL = np.array(list(_KINDS.values()))
+#: Share of those with many points that are right.
+_RIGHT = np.array([0.88, 0.95, 0.9, 0.98, 0.65, 0.8])
 _PEDESTRIAN, _BICYCLE, _MOTORCYCLE, _CAR, _TRUCK, _BUS = range(len(_KINDS))
 
 
-def kinds_of(box: Rectangles, low: Floats, high: Floats) -> Ints:
+def kinds_of(box: Rectangles, low: Floats, high: Floats, count: Ints) -> Ints:
     """(c,) row of each cluster in the table of classes, -1: no road user.
 
-    low, high: (c,) m, of the lowest and the highest point above the ground
+    low, high: (c,) m, of the lowest and the highest point above the ground;  count: (c,) points
     """
     length, width = (box.high - box.low).T
     kind = np.full(len(high), _CAR)
@@ -333,7 +337,13 @@ def kinds_of(box: Rectangles, low: Floats, high: Floats) -> Ints:
     kind[small & (high < 2.2)] = _PEDESTRIAN
     none = (small & ((high < 1.1) | (high >= 2.2))) | (low > 1.25) | (high < 0.6) | (width > 3.2)
     none |= (length > 5.6) & (high < 2.2)  # a hedge
-    none |= (high > 2.3) & (width < 0.35) & (length < 5.0) & ((length < 1.5) | (length > 2.7))  # a piece of a wall
+    straight = box.upper > 0.92 * (box.high - box.low)  # of its sides, up to the top: those of cars lean
+    block = straight[:, 0] & (straight[:, 1] | (length > 2.4)) & (width < 1.65) & (count >= 12)
+    none |= (kind == _CAR) & block & ((high > 1.25) | ((length > 2.4) & (width > 0.5) & (width < 1.3)))  # a hedge's
+    none |= ((length < 0.12) & (count >= 6)) | (small & (width < 0.17) & (count >= 40))  # a post, a plate
+    # Pieces of walls; poles and signs in hedges.
+    tall = (high > 2.3) & (width < 0.35) & (length < 5.0) & (length > 2.7)
+    none |= tall | ((high > 2.3) & ((length < 1.5) | ((length < 2.1) & (count > 60)) | (count < 8)))
     kind[none] = -1
     return kind
 
@@ -455,11 +465,19 @@ class ClusterDetector(PointDetector):
         body = round(1000 * self.clearance_m), _OVERHEAD
         cells = round(1000 * self.cell_m), round(1000 * self.growth_m)
         label, height, summary = connected_cells(whole, ground, reach, body, *cells)
-        return boxes_of(grouped(whole, height, label, may_be_objects(summary, self.min_points)))
+        steepest = float(_steepness(whole).max(initial=-np.inf))
+        return boxes_of(grouped(whole, height, label, may_be_objects(summary, self.min_points)), steepest)
 
 
-def boxes_of(clusters: Clusters) -> Detections:
-    """The detections of clusters; none of those that cannot be road users."""
+def _steepness(whole: Millimetres) -> Singles:
+    """(n,) z by distance in plan of points (n, 3) mm from the lidar."""
+    x, y, z = whole.T.astype(np.float32)
+    steepness: Singles = z / np.sqrt(x * x + y * y + np.float32(1.0))
+    return steepness
+
+
+def boxes_of(clusters: Clusters, steepest: float) -> Detections:
+    """The detections of clusters; none of those that cannot be road users. steepest: of `_steepness`, of all points"""
     if not len(clusters.height):
         return Detections.empty()
     box = rectangles(clusters)
@@ -468,15 +486,20 @@ def boxes_of(clusters: Clusters) -> Detections:
         clusters = clusters.merged(group)
         box = rectangles(clusters)
     low, top = clusters.heights()
-    kind = kinds_of(box, low, top)
-    kept = kind >= 0
+    kind = kinds_of(box, low, top, np.diff(clusters.start))
+    # What reaches up to the end of the view may be higher: flat pieces and corners of walls.
+    (length, width), straight = (box.high - box.low).T, (box.upper > 0.92 * (box.high - box.low)).all(axis=1)
+    wall = (width < 0.2) | (straight & (length < 6.0))
+    wall &= (top > 2.3) & ~((length > 2.1) & (length < 2.7) & (width < 2.1))
+    cut = clusters.of_each(np.maximum, _steepness(clusters.whole)) > steepest - _CHANNEL
+    kept = (kind >= 0) & ~(wall & cut)
     if not kept.any():
         return Detections.empty()
     clusters, box, top, kind = clusters.select(kept), Rectangles(*(each[kept] for each in box)), top[kept], kind[kept]
     sight = np.abs(box.low + box.high)  # a short face of a vehicle is its front or rear: its length is along the view
-    vehicle = (kind >= _CAR) & ((box.high - box.low)[:, 0] < 2.4)
+    vehicle = (kind >= _CAR) & ((box.high - box.low)[:, 0] < np.where(kind == _CAR, 2.1, 2.7))
     box = turned_left(box, vehicle & (sight[:, 1] > sight[:, 0]))
-    usual = _USUAL[kind]
+    usual, seen = _USUAL[kind], (box.high - box.low).min(axis=1)
     box, missing = completed(box, usual[:, :2])
     middle, extent = (box.low + box.high) / 2.0, box.high - box.low
     cosine, sine = box.axes.T
@@ -484,7 +507,7 @@ def boxes_of(clusters: Clusters) -> Detections:
     floor = clusters.of_each(np.minimum, clusters.whole[:, 2] - clusters.height) / 1000.0
     position = np.stack([*_plan(*middle.T, cosine, sine), floor + height / 2.0], axis=1)
     count = np.diff(clusters.start)
-    # Fitted to the errors on scans of our own (docs/explanation-point-detector.md).
+    # These numbers are fitted to scans of our own (docs/explanation-point-detector.md).
     few = np.where(kind >= _CAR, 1.2, 0.2) / count
     plan = 0.06**2 + few[:, None] + (0.2 * missing) ** 2
     variance = np.concatenate([plan, (0.05**2 + 0.03 / count)[:, None]], axis=1)
@@ -492,7 +515,8 @@ def boxes_of(clusters: Clusters) -> Detections:
     rotation[:, 0, 0], rotation[:, 0, 1], rotation[:, 1, 0], rotation[:, 1, 1] = cosine, -sine, sine, cosine
     rotation[:, 2, 2] = 1.0
     covariance = (rotation * variance[:, None]) @ rotation.transpose(0, 2, 1)
-    score = 1.0 - np.exp(-count / 20.0)
+    score = _RIGHT[kind] * np.where((kind == _CAR) & (seen < 1.45), np.where(seen < 1.2, 0.65, 0.9), 1.0)
+    score *= 1.0 - np.where(kind >= _TRUCK, np.exp(-count / 20.0), 0.4 * np.exp(-count / 8.0))
     yaw = wrap_angle(2.0 * box.yaw) / 2.0
     size = np.concatenate([extent, height[:, None]], axis=1)
     found = Detections(position, np.maximum(size, 0.1), yaw, score, _CLASS_IDS[kind], covariance)

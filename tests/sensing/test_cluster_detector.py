@@ -137,7 +137,7 @@ def test_order_of_points_makes_no_difference() -> None:
         np.ones((1000, 3)),
         np.full((50, 3), np.nan),
         np.array([(np.inf, 0, 0), (0, -np.inf, 0), (3e38, 3e38, -3e38), (1e9, 0, -1)]),
-        np.random.default_rng(0).uniform(0.0, 0.3, (100_000, 3)) + (5.0, 5.0, -1.0),
+        np.random.default_rng(0).uniform(0.0, 0.3, (100_000, 3)) + np.array([5.0, 5.0, -1.0]),
         np.random.default_rng(0).normal(0.0, 1e5, (1000, 3)),
     ],
 )
@@ -173,7 +173,7 @@ def test_box_of_points_is_fitted_along_their_sides(yaw: float) -> None:
         [np.column_stack([along, 0 * along - 0.9]), np.column_stack([0 * along - 2.0, along * 0.45])]
     )
     turned = sides @ np.array([(np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))])
-    position = np.column_stack([turned + (500.0, -80.0), np.tile(np.linspace(0.2, 1.6, 60), 2)])
+    position = np.column_stack([turned + np.array([500.0, -80.0]), np.tile(np.linspace(0.2, 1.6, 60), 2)])
     middle, size, fitted = fit_box(position)
     np.testing.assert_allclose(middle, (500.0, -80.0, 0.9), atol=0.05)
     np.testing.assert_allclose(size, (4.0, 1.8, 1.4), atol=0.1)
