@@ -2,7 +2,7 @@
 """Kernels of the detector of points by clusters. The NumPy references document them, and make the same numbers."""
 
 cimport numpy as np
-from libc.math cimport fabs
+from libc.math cimport fabs, floor, sqrt
 from libc.stdlib cimport calloc, free, malloc
 from libc.string cimport memset
 
@@ -103,7 +103,8 @@ def connected_cells(whole, ground, int reach_mm, body, int cell_mm, int growth_m
     cdef int coarse = length(ground), coarse_mm = 2 * reach_mm // coarse
     cdef Py_ssize_t r, k, cells = 0, raised = 0, n = length(whole), grid = side * side
     cdef np.int32_t cell, other, first, second, i, j, u, v, reach, x, y, height, count = 0
-    cdef double per_cell = 1.0 / cell_mm, per_coarse = 1.0 / coarse_mm
+    cdef double per_cell = 1.0 / cell_mm, per_coarse = 1.0 / coarse_mm, east, north
+    cdef np.int32_t steepness
     label, height_mm = numpy.full(n, -1, numpy.int32), numpy.empty(n, numpy.int32)
     cdef np.int32_t* out = singles(label, 1)
     cdef np.int32_t* heights = singles(height_mm, 1)
@@ -166,21 +167,26 @@ def connected_cells(whole, ground, int reach_mm, body, int cell_mm, int growth_m
             while parent[first] >= 0:
                 first = parent[first]
             parent[cell] = parent[first]
-    summary = numpy.zeros((count, 7), numpy.int32)
+    summary = numpy.zeros((count, 8), numpy.int32)
     summary[:, 1] = summary[:, 3] = NONE
-    summary[:, 2] = summary[:, 4] = -NONE
+    summary[:, 2] = summary[:, 4] = summary[:, 7] = -NONE
     cdef np.int32_t* table = singles(summary, 2)
     for k in range(raised):
         r = above[k]
         first = -2 - parent[out[r]]
+        if first < 0:
+            out[r] = -1
+            continue
+        entry = table + 8 * first
+        x, y = at[3 * r], at[3 * r + 1]
+        east, north = x, y
+        steepness = <np.int32_t>floor(1e4 * at[3 * r + 2] / sqrt(east * east + north * north + 1.0))
+        entry[7] = max(entry[7], steepness)
         if heights[r] > high:
             out[r] = -1
-            if first >= 0:
-                table[7 * first + 6] += 1
+            entry[6] += 1
             continue
         out[r] = first
-        entry = table + 7 * first
-        x, y = at[3 * r], at[3 * r + 1]
         entry[0] += 1
         entry[1], entry[2] = min(entry[1], x), max(entry[2], x)
         entry[3], entry[4] = min(entry[3], y), max(entry[4], y)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,12 +90,12 @@ def ground_surface(lowest: Millimetres, plane: Millimetres, step_mm: int, unseen
 def connected_cells(
     whole: Millimetres, ground: Millimetres, reach_mm: int, body: tuple[int, int], cell_mm: int, growth_mm: int
 ) -> tuple[Millimetres, Millimetres, Millimetres]:
-    """Components of points, as (n,) numbers, heights, and (c, 7) what is in each.
+    """Components of points, as (n,) numbers, heights, and (c, 8) what is in each.
 
     Components are numbered by their first cells; -1: on the ground or overhead. Heights are mm above the ground. Cells
     with points are connected if not more than k cells apart, where k is 1 and grows by 1 each `growth_mm` from the
-    lidar. Of a component: how many points, least and greatest x and y, the greatest height, and how many points are
-    overhead, straight above its cells.
+    lidar. Of a component: how many points, least and greatest x and y, the greatest height, how many points are
+    overhead, straight above its cells, and of both the greatest z by distance in plan, times 10,000.
 
     ground: (g, g) mm, z of the ground;  body: mm, heights of points of objects: above, up to
     """
@@ -130,8 +130,10 @@ def connected_cells(
     label[rows] = component[of_row.ravel()]
     over = np.flatnonzero(height > body[1])
     place = (whole[over, :2] + reach_mm) // cell_mm
-    below = [component[at[cell]] for cell in (place[:, 0] * side + place[:, 1]).tolist() if cell in at]
-    summary = np.zeros((int(component.max(initial=-1)) + 1, 7), np.int32)
+    below = [component[at[cell]] if cell in at else -1 for cell in (place[:, 0] * side + place[:, 1]).tolist()]
+    of_over = np.array(below, np.int64)
+    over, of_over = over[of_over >= 0], of_over[of_over >= 0]
+    summary = np.zeros((int(component.max(initial=-1)) + 1, 8), np.int32)
     summary[:, 1::2], summary[:, 2:6:2], summary[:, 5] = _NONE, -_NONE, 0
     for column, (reduce, values) in enumerate(
         (
@@ -144,7 +146,11 @@ def connected_cells(
         )
     ):
         reduce.at(summary[:, column], label[rows], values[rows])
-    np.add.at(summary[:, 6], np.array(below, np.int64), 1)
+    np.add.at(summary[:, 6], of_over, 1)
+    summary[:, 7] = -_NONE
+    for part, numbers in ((rows, label[rows]), (over, of_over)):
+        x, y, z = whole[part].astype(np.float64).T
+        np.maximum.at(summary[:, 7], numbers, np.floor(1e4 * z / np.sqrt(x * x + y * y + 1.0)).astype(np.int32))
     return label, height.astype(np.int32), summary
 
 
@@ -199,7 +205,7 @@ class Clusters(NamedTuple):
     height: Millimetres
     start: Ints
 
-    def of_each(self, reduce: np.ufunc, values: NDArray[np.generic]) -> NDArray[np.generic]:
+    def of_each(self, reduce: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
         """(c,) of values (n,), the highest or lowest of each cluster."""
         return np.asarray(reduce.reduceat(values, self.start[:-1]))
 
@@ -262,7 +268,7 @@ def _plane(lowest: Millimetres) -> Millimetres:
         if len(rows) >= 6:
             solution = np.linalg.solve(rows.T @ rows + _STIFF, rows.T @ z[close])
     plane = solution[0] + solution[1] * middle[:, None] + solution[2] * middle
-    return np.rint(plane).astype(np.int32)
+    return np.asarray(np.rint(plane), np.int32)
 
 
 def grouped(whole: Millimetres, height: Millimetres, label: Millimetres, kept: Bools) -> Clusters:
@@ -277,10 +283,10 @@ def grouped(whole: Millimetres, height: Millimetres, label: Millimetres, kept: B
 
 def may_be_objects(summary: Millimetres, least: int) -> Bools:
     """(c,) whether components, as `connected_cells` describes them, have enough points and are not too large."""
-    count, low_x, high_x, low_y, high_y, top, over = summary.T
+    count, low_x, high_x, low_y, high_y, top, over, _ = summary.T
     tall = (top > _TALLEST) | ((top > _MAY_BE_BELOW) & (over > 0))
     diagonal = np.hypot((high_x - low_x).astype(np.float64), (high_y - low_y).astype(np.float64))
-    return (count >= least) & ~tall & (diagonal < _LONGEST)
+    return np.asarray((count >= least) & ~tall & (diagonal < _LONGEST))
 
 
 def rectangles(clusters: Clusters) -> Rectangles:
@@ -378,7 +384,10 @@ def joined(clusters: Clusters, box: Rectangles, low: Floats, high: Floats) -> In
     together = car & (longer < 5.2) & (shorter < 2.2) & (gap < 1.6)
     level = np.abs(high[:, None] - high) < 0.6
     together |= tall[:, None] & tall & level & (longer < 12.8) & (shorter < 2.8) & (gap < 2.8)
+    np.fill_diagonal(together, False)
     group = np.arange(len(count))
+    if not together.any():
+        return group
     for first, second in zip(*np.nonzero(together), strict=True):
         group[group == group[second]] = group[first]
     return np.unique(group, return_inverse=True)[1].ravel()
@@ -422,7 +431,8 @@ def fit_box(position: Floats | Singles) -> tuple[Floats, Floats, float]:
         )
     whole = np.rint((points - low) * 1000.0).astype(np.int32)
     box = rectangles(Clusters(whole, whole[:, 2], np.array([0, len(whole)])))
-    x, y = _plan(*(box.low[0] + box.high[0]) / 2.0, *box.axes[0])
+    middle, axis = (box.low[0] + box.high[0]) / 2.0, box.axes[0]
+    x, y = _plan(middle[0], middle[1], axis[0], axis[1])
     size = np.append(box.high - box.low, whole[:, 2].max() / 1000.0)
     return low + np.array([x, y, size[2] / 2.0]), size, float(wrap_angle(2.0 * box.yaw[0]) / 2.0)
 
@@ -465,7 +475,7 @@ class ClusterDetector(PointDetector):
         body = round(1000 * self.clearance_m), _OVERHEAD
         cells = round(1000 * self.cell_m), round(1000 * self.growth_m)
         label, height, summary = connected_cells(whole, ground, reach, body, *cells)
-        steepest = float(_steepness(whole).max(initial=-np.inf))
+        steepest = float(summary[:, 7].max(initial=-_NONE)) / 1e4
         return boxes_of(grouped(whole, height, label, may_be_objects(summary, self.min_points)), steepest)
 
 
@@ -477,7 +487,7 @@ def _steepness(whole: Millimetres) -> Singles:
 
 
 def boxes_of(clusters: Clusters, steepest: float) -> Detections:
-    """The detections of clusters; none of those that cannot be road users. steepest: of `_steepness`, of all points"""
+    """The detections of clusters; none of those that cannot be road users. steepest: of `_steepness`, in the scan"""
     if not len(clusters.height):
         return Detections.empty()
     box = rectangles(clusters)
@@ -505,7 +515,7 @@ def boxes_of(clusters: Clusters, steepest: float) -> Detections:
     cosine, sine = box.axes.T
     height = np.maximum(top, usual[:, 2])
     floor = clusters.of_each(np.minimum, clusters.whole[:, 2] - clusters.height) / 1000.0
-    position = np.stack([*_plan(*middle.T, cosine, sine), floor + height / 2.0], axis=1)
+    position = np.stack([*_plan(middle[:, 0], middle[:, 1], cosine, sine), floor + height / 2.0], axis=1)
     count = np.diff(clusters.start)
     # These numbers are fitted to scans of our own (docs/explanation-point-detector.md).
     few = np.where(kind >= _CAR, 1.2, 0.2) / count
