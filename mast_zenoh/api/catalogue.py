@@ -183,6 +183,7 @@ _BASES: Mapping[str, Mapping[str, type]] = {
         "selections: what to insert, hide and move": attacks.Selection,
         "propagations: motion of false objects": attacks.Propagation,
         "imitations: appearance of false objects": attacks.Imitation,
+        "spoofers: where they are, in attacks on points": attacks.Spoofer,
     },
     "trackers": {
         "pipelines of agents": AgentPipeline,

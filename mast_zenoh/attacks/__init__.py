@@ -19,18 +19,32 @@
     evasion      attacks that stay below what a defence looks for
     flood        an attack on the time of the command centre
     road_ahead    attacks on the road ahead of a car that is driven
+    spoofers        where spoofers of a lidar are, and how well they aim
+    point_attacks   attacks on points: base class, removal of a sector, scans of another time
+    point_phantoms  attacks on points: phantoms, walls, mirrors and forged meshes
 
 Everything is in the world frame; the nodes convert. See docs/explanation-threat-model.md.
 """
 
-from mast_zenoh.attacks import attack, disputes, evasion, flood, phantoms, real_objects, road_ahead  # noqa: F401 (found by name)
+from mast_zenoh.attacks import (  # noqa: F401 (found by name)
+    attack,
+    disputes,
+    evasion,
+    flood,
+    phantoms,
+    point_phantoms,
+    real_objects,
+    road_ahead,
+)
 from mast_zenoh.attacks.adaptive import AdaptiveAttack, Lies, Moment
 from mast_zenoh.attacks.attack import Attack, PassThrough, UncoordinatedAttack, alter
 from mast_zenoh.attacks.campaign import Propagation
 from mast_zenoh.attacks.coordination import Coordination
 from mast_zenoh.attacks.imitation import Imitation
+from mast_zenoh.attacks.point_attacks import PointAttack
 from mast_zenoh.attacks.road_ahead import FalseTraffic, FollowingEgo
 from mast_zenoh.attacks.selection import Selection, UncoordinatedSelection
+from mast_zenoh.attacks.spoofers import Spoofer
 from mast_zenoh.attacks.surroundings import Surroundings
 from mast_zenoh.attacks.targets import ACTIONS, Tampering, Targets
 
@@ -45,8 +59,10 @@ __all__ = [
     "Lies",
     "Moment",
     "PassThrough",
+    "PointAttack",
     "Propagation",
     "Selection",
+    "Spoofer",
     "Surroundings",
     "Tampering",
     "Targets",

@@ -20,7 +20,8 @@ from mast_zenoh.messages.schemas import BUILT_IN
 from mast_zenoh.metrics.measures import MEASURES
 
 _BASES = """
-    attacks: attacks.Attack attacks.Coordination attacks.Selection attacks.Propagation attacks.Imitation
+    attacks: attacks.Attack attacks.Coordination attacks.Selection attacks.Propagation attacks.Imitation \
+        attacks.Spoofer
     trackers: fusion.pipelines.AgentPipeline tracking.Tracker tracking.Assignment
     fusion: fusion.pipelines.MissionEstimator fusion.pipelines.Pipeline fusion.Clusterer fusion.Fusion \
         fusion.GroupTracker

@@ -1,0 +1,246 @@
+"""The beams behind the points of a scan: what each firing of a lidar met, worked out from the points themselves.
+
+Attacks on points change what a beam returns, so they need the beams, also those that met nothing. A spoofer that
+listens to the lidar's pulses knows them (Cao 2019, section 5.1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.sensing.points import Points, Singles
+from mast_zenoh.sensing.raycast import Walls
+from mast_zenoh.sensing.scan import Moving, Place, nearest_surfaces
+from mast_zenoh.sensing.shapes import Parts
+
+#: m, far below any ground that a beam reaches: a phantom is cast without the ground.
+_NO_GROUND_M = -1e9
+
+
+@dataclass(frozen=True, eq=False)
+class LidarMotion:
+    """Pose of a lidar at the time of a scan, and how it moves during it.
+
+    rotation: (3, 3) active, lidar to world; velocity: (3,) m/s, world frame; turn: rad/s, about the vertical
+    """
+
+    rotation: Floats
+    velocity: Floats
+    turn: float
+
+    def as_fired(self, position: Singles, time_s: Singles) -> Floats:
+        """Positions (n, 3) m of deskewed points, in the frame that the lidar had when it fired."""
+        if not self._moves:
+            return position.astype(np.float64)
+        time = time_s.astype(np.float64)[:, None]
+        return _turned(position @ self.rotation.T - self.velocity * time, -self.turn * time) @ self.rotation
+
+    def deskewed(self, position: Floats, time_s: Singles) -> Singles:
+        """The inverse of `as_fired`."""
+        if not self._moves:
+            return position.astype(np.float32)
+        time = time_s.astype(np.float64)[:, None]
+        world = _turned(position @ self.rotation.T, self.turn * time) + self.velocity * time
+        return np.asarray(world @ self.rotation, np.float32)
+
+    @property
+    def _moves(self) -> bool:
+        return bool(self.turn or self.velocity.any())
+
+
+def _turned(vectors: Floats, angle: Floats) -> Floats:
+    """Vectors (n, 3) turned about z by (n, 1) rad."""
+    cosine, sine = np.cos(angle[:, 0]), np.sin(angle[:, 0])
+    x, y, z = vectors.T
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Directions of a lidar's beams: a channel looks to `rate * time + offset`, counter-clockwise from x.
+
+    rate: rad/s; channel: (c,) uint8, those seen, ascending; offset, elevation: (c,) rad, of them
+    """
+
+    rate: float
+    channel: NDArray[np.uint8]
+    offset: Floats
+    elevation: Floats
+
+    @classmethod
+    def of(cls, fired: Floats, points: Points) -> Calibration | None:
+        """From a scan, as its beams were fired (n, 3) m; None: its points do not say their times."""
+        time = points.time_s.astype(np.float64)
+        if len(time) < 2 or time.min() == time.max():
+            return None
+        azimuth = np.arctan2(fired[:, 1], fired[:, 0])
+        elevation = np.arctan2(fired[:, 2], np.hypot(fired[:, 0], fired[:, 1]))
+        one = points.channel == np.bincount(points.channel).argmax()
+        rate = float(np.polyfit(time[one], np.unwrap(azimuth[one]), 1)[0])
+        channel, first = np.unique(points.channel, return_inverse=True)
+        off = wrap_angle(azimuth - rate * time)
+        return cls(rate, channel, *(_medians(first, each) for each in (off, elevation)))
+
+
+def _medians(group: Ints, values: Floats) -> Floats:
+    """(g,) medians of values (n,) by their groups (n,), 0 to g - 1, none of which is empty."""
+    ordered = values[np.lexsort((values, group))]
+    count = np.bincount(group)
+    return np.asarray(ordered[np.cumsum(count) - count + count // 2])
+
+
+@dataclass(frozen=True, eq=False)
+class Firings:
+    """The beams of f firings of c channels, in part of a scan.
+
+    points:   of the whole scan;  motion: of its lidar
+    time_s:   (f,) float32, ascending;  calibration: of the c channels;  azimuth: (f,) rad, of a channel without offset
+    row:      (f, c) rows of the points, -1: nothing returned
+    range_m:  (f, c) m, along the beam; inf: nothing returned
+    """
+
+    points: Points
+    motion: LidarMotion
+    time_s: Singles
+    calibration: Calibration
+    azimuth: Floats
+    row: Ints
+    range_m: Floats
+
+    @classmethod
+    def near(cls, points: Points, motion: LidarMotion, seen: Calibration, azimuth: float, half_rad: float) -> Firings:
+        """The firings within `half_rad` of an azimuth, both rad."""
+        fired = motion.as_fired(points.position, points.time_s)
+        looks = seen.rate * points.time_s.astype(np.float64)
+        margin = half_rad + np.abs(wrap_angle(seen.offset)).max(initial=0.0)
+        rows = np.flatnonzero(np.abs(wrap_angle(looks - azimuth)) <= margin)
+        time, firing = np.unique(points.time_s[rows], return_inverse=True)
+        column = np.searchsorted(seen.channel, points.channel[rows])
+        known = column < len(seen.channel)
+        known &= seen.channel[np.minimum(column, len(seen.channel) - 1)] == points.channel[rows]
+        row, range_m = np.full((len(time), len(seen.channel)), -1), np.full((len(time), len(seen.channel)), np.inf)
+        row[firing[known], column[known]] = rows[known]
+        range_m[firing[known], column[known]] = np.linalg.norm(fired[rows[known]], axis=1)
+        return cls(points, motion, time, seen, seen.rate * time.astype(np.float64), row, range_m)
+
+    def angles(self) -> tuple[Floats, Floats]:
+        """(f, c) rad azimuth and (c,) rad elevation of the beams, in the frame of the lidar when it fired."""
+        return wrap_angle(self.azimuth[:, None] + self.calibration.offset), self.calibration.elevation
+
+    def beams_at(self, position: Floats) -> tuple[Ints, Ints, Bools]:
+        """(n,) firing and channel nearest to the direction of positions (n, 3) m; (n,) whether a beam looks there."""
+        azimuth = np.arctan2(position[:, 1], position[:, 0])
+        elevation = np.arctan2(position[:, 2], np.hypot(position[:, 0], position[:, 1]))
+        order = np.argsort(self.calibration.elevation)
+        step = np.diff(self.calibration.elevation[order])
+        apart = float(np.median(step)) if len(step) else 0.02
+        channel = order[nearest(self.calibration.elevation[order], elevation)]
+        middle = self.azimuth[len(self.azimuth) // 2]
+        off = wrap_angle(azimuth - self.calibration.offset[channel] - middle) + middle
+        firing = nearest(self.azimuth, off)
+        aside = np.abs(off - self.azimuth[firing]), np.abs(elevation - self.calibration.elevation[channel])
+        return firing, channel, (aside[0] <= 0.01) & (aside[1] <= apart)
+
+    def to_shape(self, middle: Floats, yaw: float, parts: Parts, longest_m: float = 300.0) -> Floats:
+        """(f, c) m along each beam to one shape that stands still in the axes of the world; inf: not met.
+
+        middle: (3,) m, of its box, from the lidar;  yaw: rad
+        """
+        flat, beams = np.cos(self.calibration.elevation), self.calibration
+        zero, f = np.zeros(3), len(self.time_s)
+        range_m, _, _ = nearest_surfaces(
+            np.stack([np.zeros(f), np.cos(self.azimuth), np.sin(self.azimuth)]),
+            np.stack([flat * np.cos(beams.offset), flat * np.sin(beams.offset), np.sin(beams.elevation)]),
+            Place(zero, zero, np.array([1.0, 0.0]), 0.0, np.ascontiguousarray(self.motion.rotation), _NO_GROUND_M),
+            Moving(middle[None], zero[None], np.array([yaw]), np.zeros(1)),
+            np.array([[np.cos(yaw), np.sin(yaw)]]),
+            parts,
+            np.array([[0, 0, f, 0, len(flat)]], np.int64),
+            Walls.of_buildings((), np.zeros(0)),
+            np.zeros((0, 5), np.int64),
+            longest_m,
+        )
+        return range_m
+
+    def changed(self, which: Bools, range_m: Floats, intensity: float = 1.0) -> Points:
+        """The scan after some of these beams, (f, c), returned from other distances (f, c) m; inf: not at all."""
+        firing, channel = np.nonzero(which & np.isfinite(range_m))
+        azimuth, elevation = self.angles()
+        flat = np.cos(elevation[channel])
+        aside = azimuth[firing, channel]
+        beam = np.stack([flat * np.cos(aside), flat * np.sin(aside), np.sin(elevation[channel])], axis=1)
+        time = self.time_s[firing]
+        new = Points(
+            self.motion.deskewed(beam * range_m[firing, channel, None], time),
+            np.full(len(time), intensity, np.float32),
+            time,
+            self.calibration.channel[channel],
+        )
+        gone = np.zeros(len(self.points), bool)
+        gone[self.row[which & (self.row >= 0)]] = True
+        return ordered(Points.joined([self.points.select(~gone), new]))
+
+
+def ordered(points: Points) -> Points:
+    """The same points by firing, then by channel."""
+    channel = points.channel.astype(np.float64) * 1e-9  # s, less than between any two firings
+    return points.select(np.argsort(points.time_s.astype(np.float64) + channel, kind="stable"))
+
+
+def nearest(ascending: Floats, values: Floats) -> Ints:
+    """(…) places of the elements of (k,), ascending, that are nearest to values (…)."""
+    after = np.clip(np.searchsorted(ascending, values), 1, max(len(ascending) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(ascending) - 1)
+    return np.where(values - ascending[before] < ascending[after] - values, before, after)
+
+
+class FiringMemory:
+    """What a listener learns of one lidar from scan to scan: its motion and its beams."""
+
+    def __init__(self) -> None:
+        self._before: tuple[float, Floats, Floats] | None = None
+        self._poses = 0
+        self._motion = LidarMotion(np.eye(3), np.zeros(3), 0.0)
+        self._calibration: Calibration | None = None
+
+    def move(self, time_s: float, position: Floats, rotation: Floats) -> LidarMotion:
+        """Take note of the pose of the lidar at a scan: (3,) m and (3, 3) active, world frame."""
+        still = LidarMotion(rotation, np.zeros(3), 0.0)
+        if self._before is not None and 0.0 < time_s - self._before[0] < 1.0:
+            elapsed, since = time_s - self._before[0], rotation @ self._before[2].T
+            turn = float(np.arctan2(since[1, 0] - since[0, 1], since[0, 0] + since[1, 1])) / elapsed
+            still = replace(still, velocity=(position - self._before[1]) / elapsed, turn=turn)
+        self._before, self._motion = (time_s, position, rotation), still
+        self._poses += 1
+        return still
+
+    def near(self, points: Points, azimuth: float, half_rad: float) -> Firings | None:
+        """The firings of the scan at the last pose within `half_rad` of an azimuth, both rad; None: without times."""
+        if self._calibration is None or self._poses <= 2:
+            fired = self._motion.as_fired(points.position, points.time_s)
+            self._calibration = Calibration.of(fired, points)
+        return self._calibration and Firings.near(points, self._motion, self._calibration, azimuth, half_rad)
+
+
+def chords(beam: Floats, position: Floats, size: Floats, yaw: Floats) -> tuple[Floats, Floats]:
+    """(n, k) m along beams (n, 3), from the origin, at which they enter and leave upright boxes (k, 3), (k, 3), (k,).
+
+    A beam that misses a box leaves it before it enters.
+    """
+    c, s = np.cos(yaw), np.sin(yaw)
+    middle = np.stack(
+        [c * position[:, 0] + s * position[:, 1], c * position[:, 1] - s * position[:, 0], position[:, 2]]
+    )
+    x, y, z = (each[:, None] for each in beam.T.astype(np.float64))
+    enter, leave = np.full((len(beam), len(yaw)), -np.inf), np.full((len(beam), len(yaw)), np.inf)
+    for axis, along in enumerate((c * x + s * y, c * y - s * x, np.broadcast_to(z, enter.shape))):
+        slope = np.where(np.abs(along) < 1e-12, 1e-12, along)
+        near, far = (middle[axis] - size[:, axis] / 2) / slope, (middle[axis] + size[:, axis] / 2) / slope
+        enter, leave = np.maximum(enter, np.minimum(near, far)), np.minimum(leave, np.maximum(near, far))
+    return enter, leave
