@@ -2,8 +2,8 @@
 
     python benchmarks/point_attacks.py [--scans 40]
 
-Prints the tables of docs/explanation-point-attacks.md. The street has a wall at 60 m, three cars, and 2 cm of noise. The
-last table needs a detector of points, `sensing.cluster_detector`.
+Prints the tables of docs/explanation-point-attacks.md. The street has a wall at 60 m, three cars, and 2 cm of noise.
+The last table needs a detector of points, `sensing.cluster_detector`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from mast_zenoh.sensing.point_checks import OcclusionCheck, PointCheck, ShadowCh
 from mast_zenoh.sensing.points import Points
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
-from made_scans import HEIGHT_M, Street, boxes  # noqa: E402
+from made_scans import HEIGHT_M, Street, boxes
 
 SURE = spoofers.Following(aim_deg=0.0, lag_s=0.0)
 NEAR = spoofers.Following(distance_m=4.0, aim_deg=0.0, lag_s=0.0)
@@ -67,12 +67,13 @@ def effect(before: Points, after: Points) -> tuple[int, int, int]:
 def effects(count: int) -> None:
     """Beams changed by each attack, and all points more than before."""
     print("attack | lidar | inserted | removed | moved | more points")
-    made: list[PointAttack] = [
-        CaoInjection(place=SURE), SunInjection(place=SURE), PlaInjection(place=SURE), GhostWall(place=SURE),
-        HighFrequencyRemoval(place=SURE), EarlyEcho(place=NEAR), Saturation(place=SURE), Mirror(x=14.0, yaw_deg=135.0),
-        ForgedMesh(), ForgedMesh(remove=True, distance_m=25.7, angle_deg=13.5), DelayedScan(), RelayedScan(),
-    ]  # fmt: skip
     for model in MODELS:
+        made: list[PointAttack] = [
+            CaoInjection(place=SURE), SunInjection(place=SURE), PlaInjection(place=SURE), GhostWall(place=SURE),
+            HighFrequencyRemoval(place=SURE), EarlyEcho(place=NEAR), Saturation(place=SURE),
+            Mirror(x=14.0, yaw_deg=135.0), ForgedMesh(), ForgedMesh(remove=True, distance_m=25.7, angle_deg=13.5),
+            DelayedScan(), RelayedScan(),
+        ]  # fmt: skip
         for attack in made:
             attack.start_s = 0.2
             pairs = list(scans(attack, Street(CARS, model, wall_x=60.0), max(4, count // 8)))[2:]
