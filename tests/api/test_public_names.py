@@ -18,7 +18,7 @@ NAMES = {
 _BASES = """
     node.Node node.Source messages.Schema messages.Column attacks.Attack attacks.Coordination attacks.Selection
     attacks.Propagation attacks.Imitation attacks.AdaptiveAttack attacks.FollowingEgo attacks.FalseTraffic
-    attacks.Spoofer driving.Driver tracking.Tracker tracking.Assignment fusion.pipelines.Pipeline fusion.Clusterer
+    driving.Driver tracking.Tracker tracking.Assignment fusion.pipelines.Pipeline fusion.Clusterer
     fusion.Fusion fusion.GroupTracker integrity.Integrity scenes.Scene scenes.Sensor sensing.Detector
     metrics.FrameMetric metrics.RunMetric metrics.Assigner links.Rule faults.Fault launch.engine.Engine
     launch.checks.RunCheck show.RunFigure v2x.GenerationRules v2x.RedundancyRule v2x.CongestionControl v2x.CamGeneration
