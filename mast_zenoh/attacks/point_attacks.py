@@ -20,8 +20,8 @@ from mast_zenoh.attacks.attack import Attack, ObjectsUnchanged
 from mast_zenoh.attacks.campaign import NANOSECONDS
 from mast_zenoh.attacks.spoofers import Following, Spoofer
 from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings
-from mast_zenoh.sensing.firings import FiringMemory, Firings, LidarMotion
 from mast_zenoh.sensing.points import Points
+from mast_zenoh.sensing.sectors import BeamMemory, LidarMotion, Sector
 from mast_zenoh.streams import stream
 
 #: m, of what a pulse travels there and back in a microsecond.
@@ -43,14 +43,14 @@ class AttackedScan:
     lidar: tuple[Floats, Floats]
     towards: Floats
     random: np.random.Generator
-    memory: FiringMemory
+    memory: BeamMemory
 
     @property
     def bearing(self) -> float:
         """rad, azimuth of the spoofer."""
         return float(np.arctan2(self.towards[1], self.towards[0]))
 
-    def firings(self, azimuth: float, half_rad: float) -> Firings | None:
+    def sector(self, azimuth: float, half_rad: float) -> Sector | None:
         """The firings within `half_rad` of an azimuth, both rad; None: none, or the points do not say their times."""
         near = self.memory.near(self.points, azimuth, half_rad)
         return near if near is not None and len(near.time_s) else None
@@ -79,7 +79,7 @@ class PointAttack(ObjectsUnchanged, Attack):
         check("0 to 1", success=self.success)
         self._seed, self._name = 0, ""
         self._surroundings = UNKNOWN
-        self._memory = FiringMemory()
+        self._memory = BeamMemory()
         self._sight: tuple[float, Floats] | None = None
 
     def inform(self, surroundings: Surroundings) -> None:
@@ -188,12 +188,12 @@ class HighFrequencyRemoval(PointAttack):
 
     def _forged(self, scan: AttackedScan) -> Points:
         width = max(scan.random.normal(self._mean, self._deviation), 0.0)
-        firings = scan.firings(scan.bearing, np.radians(width) / 2)
-        if firings is None:
+        sector = scan.sector(scan.bearing, np.radians(width) / 2)
+        if sector is None:
             return scan.points
-        inside = np.abs(wrap_angle(firings.angles()[0] - scan.bearing)) <= np.radians(width) / 2
+        inside = np.abs(wrap_angle(sector.angles()[0] - scan.bearing)) <= np.radians(width) / 2
         apart = METRES_PER_US / self.frequency_mhz
-        return firings.changed(inside, self.min_range_m + apart * scan.random.random(inside.shape))
+        return sector.changed(inside, self.min_range_m + apart * scan.random.random(inside.shape))
 
 
 @dataclass(kw_only=True, eq=False)
@@ -221,11 +221,11 @@ class EarlyEcho(PointAttack):
 
     def _forged(self, scan: AttackedScan) -> Points:
         half = np.radians(self.sector_deg) / 2
-        firings = scan.firings(scan.bearing, half)
-        if firings is None:
+        sector = scan.sector(scan.bearing, half)
+        if sector is None:
             return scan.points
-        inside = np.abs(wrap_angle(firings.angles()[0] - scan.bearing)) <= half
-        return firings.changed(inside, np.full(inside.shape, np.inf))
+        inside = np.abs(wrap_angle(sector.angles()[0] - scan.bearing)) <= half
+        return sector.changed(inside, np.full(inside.shape, np.inf))
 
 
 @dataclass(kw_only=True, eq=False)
@@ -250,15 +250,15 @@ class Saturation(PointAttack):
         check("0 to 1", noise=self.noise)
 
     def _forged(self, scan: AttackedScan) -> Points:
-        firings = scan.firings(scan.bearing, np.radians(self.cone_deg))
-        if firings is None:
+        sector = scan.sector(scan.bearing, np.radians(self.cone_deg))
+        if sector is None:
             return scan.points
-        azimuth, elevation = firings.angles()
+        azimuth, elevation = sector.angles()
         up = np.arctan2(scan.towards[2], np.hypot(*scan.towards[:2]))
         cosine = np.sin(elevation) * np.sin(up) + np.cos(elevation) * np.cos(up) * np.cos(azimuth - scan.bearing)
         random = scan.random.random((2, *azimuth.shape))
         range_m = np.where(random[0] < self.noise, 0.5 + random[1] * self.longest_m, np.inf)
-        return firings.changed(cosine >= np.cos(np.radians(self.cone_deg)), range_m)
+        return sector.changed(cosine >= np.cos(np.radians(self.cone_deg)), range_m)
 
 
 @dataclass(kw_only=True, eq=False)

@@ -16,9 +16,9 @@ from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats
 from mast_zenoh.attacks.point_attacks import AttackedScan, PointAttack
 from mast_zenoh.attacks.spoofers import Following, Spoofer
 from mast_zenoh.sensing.beams import Beams
-from mast_zenoh.sensing.firings import Firings, chords, nearest, ordered
 from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.scan import Moving, cast
+from mast_zenoh.sensing.sectors import Sector, chords, nearest, ordered
 from mast_zenoh.sensing.shapes import Parts
 
 #: m, length, width and height of the usual phantom.
@@ -96,35 +96,35 @@ class InjectedPoints(PointAttack):
         middle = np.array([distance * np.cos(ahead), distance * np.sin(ahead), height])
         seen_at = middle @ scan.lidar[1]
         half = np.arctan2(float(np.hypot(*self.size[:2])) / 2, distance) + np.radians(2.0)
-        firings = scan.firings(float(np.arctan2(seen_at[1], seen_at[0])), half)
-        if firings is None:
+        sector = scan.sector(float(np.arctan2(seen_at[1], seen_at[0])), half)
+        if sector is None:
             return scan.points
-        range_m = self._jittered(firings, scan, firings.to_shape(middle, ahead + np.radians(self.yaw_deg), self._parts))
-        azimuth, elevation = firings.angles()
+        range_m = self._jittered(sector, scan, sector.to_shape(middle, ahead + np.radians(self.yaw_deg), self._parts))
+        azimuth, elevation = sector.angles()
         aside = np.degrees(np.abs(wrap_angle(azimuth - scan.bearing)))
         above = np.degrees(np.abs(elevation - np.arctan2(scan.towards[2], np.hypot(*scan.towards[:2]))))
         deviation = self.noise_m + self.noise_per_deg_m * np.hypot(aside, above)
         allowed = np.isfinite(range_m) & (aside <= self.reach_deg[0]) & (above <= self.reach_deg[1])
         range_m = range_m + deviation * scan.random.standard_normal(range_m.shape)
         if self.occlusion:
-            allowed &= range_m < firings.range_m
+            allowed &= range_m < sector.range_m
         else:
             range_m = range_m + _DEPTH_M * scan.random.random(range_m.shape)
         candidates = np.flatnonzero(allowed)
         chosen = candidates[np.linspace(0, len(candidates) - 1, min(self.points, len(candidates))).astype(np.int64)]
         which = np.zeros(allowed.shape, bool)
         which.flat[chosen] = True
-        return firings.changed(which, np.maximum(range_m, 0.1))
+        return sector.changed(which, np.maximum(range_m, 0.1))
 
-    def _jittered(self, firings: Firings, scan: AttackedScan, range_m: Floats) -> Floats:
+    def _jittered(self, sector: Sector, scan: AttackedScan, range_m: Floats) -> Floats:
         """Ranges (f, c) as meant for a beam nearby."""
         if not self.jitter_deg or min(range_m.shape) < 2:
             return range_m
         jitter = np.radians(self.jitter_deg) * scan.random.standard_normal((2, *range_m.shape))
         firing, channel = np.indices(range_m.shape)
-        step = max(float(np.median(np.diff(firings.azimuth))), 1e-6)
+        step = max(float(np.median(np.diff(sector.azimuth))), 1e-6)
         firing = np.clip(firing + np.rint(jitter[0] / step).astype(np.int64), 0, len(range_m) - 1)
-        elevation = firings.calibration.elevation
+        elevation = sector.calibration.elevation
         return np.asarray(range_m[firing, nearest(elevation, elevation[channel] + jitter[1])])
 
 
@@ -196,15 +196,15 @@ class Mirror(PointAttack):
         middle = (np.array([self.x, self.y, self.z]) - position) @ rotation
         away = float(np.linalg.norm(middle))
         half = np.arctan2(np.hypot(self.width_m, self.height_m) / 2, away) + 0.02
-        firings = scan.firings(float(np.arctan2(middle[1], middle[0])), half)
-        if firings is None:
+        sector = scan.sector(float(np.arctan2(middle[1], middle[0])), half)
+        if sector is None:
             return scan.points
-        azimuth, elevation = firings.angles()
+        azimuth, elevation = sector.angles()
         flat = np.broadcast_to(np.cos(elevation), azimuth.shape)
         rise = np.broadcast_to(np.sin(elevation), azimuth.shape)
         beam = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), rise], axis=-1)
         to_mirror = self._along(beam.reshape(-1, 3), middle, axes).reshape(azimuth.shape)
-        meets = to_mirror < firings.range_m
+        meets = to_mirror < sector.range_m
         real = scan.points.position.astype(np.float64)
         beyond = (real - middle) @ axes[:, 0]
         mirrored = real - 2.0 * beyond[:, None] * axes[:, 0]
@@ -212,9 +212,9 @@ class Mirror(PointAttack):
         shown = (beyond * (middle @ axes[:, 0]) < 0.0) & (length <= scan.points.range_m().max())
         shown &= self._along(mirrored, middle, axes) < 1.0
         seen = np.full(azimuth.shape, np.inf)
-        firing, channel, looks = firings.beams_at(mirrored[shown])
+        firing, channel, looks = sector.beams_at(mirrored[shown])
         np.minimum.at(seen, (firing[looks], channel[looks]), length[shown][looks])
-        return firings.changed(meets, seen, float(np.median(scan.points.intensity)))
+        return sector.changed(meets, seen, float(np.median(scan.points.intensity)))
 
     def _along(self, beam: Floats, middle: Floats, axes: Floats) -> Floats:
         """(n,) lengths of (n, 3) after which they meet the mirror, inf: not. All in the lidar's frame."""
@@ -239,7 +239,6 @@ class ForgedMesh(PointAttack):
     remove:     whether an object is removed instead of added
     distance_m: m, from the lidar to the middle;  angle_deg: deg, left of the lidar's x
     yaw_deg:    deg, of the car, left of the lidar's x
-    agent:      the car of this agent, on its route, instead of distance_m and the angles; "": none
     size:       m, length, width and height
     """
 
@@ -247,7 +246,6 @@ class ForgedMesh(PointAttack):
     distance_m: float = 15.0
     angle_deg: float = 0.0
     yaw_deg: float = 0.0
-    agent: str = ""
     size: tuple[float, float, float] = CAR
 
     def __post_init__(self) -> None:
@@ -257,22 +255,15 @@ class ForgedMesh(PointAttack):
     def _forged(self, scan: AttackedScan) -> Points:
         rotation = scan.lidar[1]
         ground, facing = ground_below(scan.points, rotation), float(heading(rotation))
-        if self.agent:
-            if self.agent not in self._surroundings.sensors:
-                known = ", ".join(self._surroundings.sensors) or "none"
-                raise ValueError(f"agent: found {self.agent!r}, expected one of {known}")
-            at, turned = self._surroundings.sensors[self.agent].route.at(scan.time_s)
-            middle, yaw = at - scan.lidar[0], float(heading(turned))
-        else:
-            bearing, yaw = facing + np.radians(self.angle_deg), facing + np.radians(self.yaw_deg)
-            middle = self.distance_m * np.array([np.cos(bearing), np.sin(bearing), 0.0])
-        middle[2] = ground + self.size[2] / 2
-        firings = scan.firings(float(np.arctan2(*(middle @ rotation)[1::-1])), np.pi)
-        if firings is None:
+        bearing, yaw = facing + np.radians(self.angle_deg), facing + np.radians(self.yaw_deg)
+        aside = self.distance_m * np.cos(bearing), self.distance_m * np.sin(bearing)
+        middle = np.array([*aside, ground + self.size[2] / 2])
+        sector = scan.sector(float(np.arctan2(*(middle @ rotation)[1::-1])), np.pi)
+        if sector is None:
             return scan.points
         made = (self._without if self.remove else self._with_car)(scan, middle, yaw)
-        firing, channel, _ = firings.beams_at(made.position.astype(np.float64))
-        new = Points(made.position, made.intensity, firings.time_s[firing], firings.calibration.channel[channel])
+        firing, channel, _ = sector.beams_at(made.position.astype(np.float64))
+        new = Points(made.position, made.intensity, sector.time_s[firing], sector.calibration.channel[channel])
         kept = self._kept(scan, middle, yaw)
         return ordered(Points.joined([scan.points.select(kept), new]))
 

@@ -59,17 +59,13 @@ class Spoofer(ABC):
         return float(-np.expm1(-0.5 * self.spot_m**2 / square)) if square > 0.0 else 1.0
 
     def in_sight(self, points: Points, towards: Floats) -> bool:
-        """Whether the scan shows nothing between the lidar and a spoofer at `towards` (3,) m, in the lidar's frame."""
+        """Whether a scan, not empty, shows nothing in front of a spoofer at `towards` (3,) m, in the lidar's frame."""
         distance = float(np.linalg.norm(towards))
         range_m = points.range_m()
         along = points.position @ (towards / max(distance, 1e-9)).astype(np.float32)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            cosine = np.where(range_m > 0.0, along / range_m, -1.0)
-        if not len(cosine):
-            return True
+        cosine = along / np.maximum(range_m, 1e-6)
         nearest = int(cosine.argmax())
-        blocked = cosine[nearest] >= np.cos(_NEAR_RAD) and range_m[nearest] < distance - self.body_m
-        return not blocked
+        return not (cosine[nearest] >= np.cos(_NEAR_RAD) and range_m[nearest] < distance - self.body_m)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,8 +13,8 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Detections, Floats
-from mast_zenoh.sensing.firings import chords
 from mast_zenoh.sensing.points import Points
+from mast_zenoh.sensing.sectors import chords
 
 #: Classes whose bodies let no light through between these shares of their height.
 _SOLID = [CLASS_INDEX[name] for name in ("car", "truck", "bus")]

@@ -12,8 +12,8 @@ from made_scans import CAR, HEIGHT_M, Street
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.attacks import Attack, PassThrough, PointAttack, Surroundings, point_attacks, point_phantoms, spoofers
-from mast_zenoh.sensing.firings import chords
 from mast_zenoh.sensing.points import Points
+from mast_zenoh.sensing.sectors import chords
 
 #: Aims without error.
 SURE: dict[str, Any] = dict(aim_deg=0.0, lag_s=0.0)

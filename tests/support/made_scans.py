@@ -9,10 +9,10 @@ import numpy as np
 from mast_zenoh.arrays.geometry import rotation_from_yaw
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections, Floats
 from mast_zenoh.sensing.beams import MODELS
-from mast_zenoh.sensing.firings import LidarMotion
 from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.raycast import Walls
 from mast_zenoh.sensing.scan import Moving, cast
+from mast_zenoh.sensing.sectors import LidarMotion
 from mast_zenoh.sensing.shapes import Parts
 
 HEIGHT_M = 1.8

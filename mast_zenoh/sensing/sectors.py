@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints
+from mast_zenoh.sensing.beams import Beams
 from mast_zenoh.sensing.points import Points, Singles
 from mast_zenoh.sensing.raycast import Walls
-from mast_zenoh.sensing.scan import Moving, Place, nearest_surfaces
+from mast_zenoh.sensing.scan import Moving, Place, firings, nearest_surfaces
 from mast_zenoh.sensing.shapes import Parts
 
 #: m, far below any ground that a beam reaches: a phantom is cast without the ground.
@@ -35,22 +36,14 @@ class LidarMotion:
 
     def as_fired(self, position: Singles, time_s: Singles) -> Floats:
         """Positions (n, 3) m of deskewed points, in the frame that the lidar had when it fired."""
-        if not self._moves:
-            return position.astype(np.float64)
         time = time_s.astype(np.float64)[:, None]
         return _turned(position @ self.rotation.T - self.velocity * time, -self.turn * time) @ self.rotation
 
     def deskewed(self, position: Floats, time_s: Singles) -> Singles:
         """The inverse of `as_fired`."""
-        if not self._moves:
-            return position.astype(np.float32)
         time = time_s.astype(np.float64)[:, None]
         world = _turned(position @ self.rotation.T, self.turn * time) + self.velocity * time
         return np.asarray(world @ self.rotation, np.float32)
-
-    @property
-    def _moves(self) -> bool:
-        return bool(self.turn or self.velocity.any())
 
 
 def _turned(vectors: Floats, angle: Floats) -> Floats:
@@ -95,7 +88,7 @@ def _medians(group: Ints, values: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class Firings:
+class Sector:
     """The beams of f firings of c channels, in part of a scan.
 
     points:   of the whole scan;  motion: of its lidar
@@ -113,19 +106,19 @@ class Firings:
     range_m: Floats
 
     @classmethod
-    def near(cls, points: Points, motion: LidarMotion, seen: Calibration, azimuth: float, half_rad: float) -> Firings:
+    def near(cls, points: Points, motion: LidarMotion, seen: Calibration, azimuth: float, half_rad: float) -> Sector:
         """The firings within `half_rad` of an azimuth, both rad."""
         fired = motion.as_fired(points.position, points.time_s)
         looks = seen.rate * points.time_s.astype(np.float64)
         margin = half_rad + np.abs(wrap_angle(seen.offset)).max(initial=0.0)
         rows = np.flatnonzero(np.abs(wrap_angle(looks - azimuth)) <= margin)
         time, firing = np.unique(points.time_s[rows], return_inverse=True)
-        column = np.searchsorted(seen.channel, points.channel[rows])
-        known = column < len(seen.channel)
-        known &= seen.channel[np.minimum(column, len(seen.channel) - 1)] == points.channel[rows]
+        column = np.full(256, -1)
+        column[seen.channel] = np.arange(len(seen.channel))
         row, range_m = np.full((len(time), len(seen.channel)), -1), np.full((len(time), len(seen.channel)), np.inf)
-        row[firing[known], column[known]] = rows[known]
-        range_m[firing[known], column[known]] = np.linalg.norm(fired[rows[known]], axis=1)
+        known = column[points.channel[rows]] >= 0
+        beam = firing[known], column[points.channel[rows[known]]]
+        row[beam], range_m[beam] = rows[known], np.linalg.norm(fired[rows[known]], axis=1)
         return cls(points, motion, time, seen, seen.rate * time.astype(np.float64), row, range_m)
 
     def angles(self) -> tuple[Floats, Floats]:
@@ -151,16 +144,15 @@ class Firings:
 
         middle: (3,) m, of its box, from the lidar;  yaw: rad
         """
-        flat, beams = np.cos(self.calibration.elevation), self.calibration
-        zero, f = np.zeros(3), len(self.time_s)
+        zero, (f, c) = np.zeros(3), self.row.shape
+        beams = self.calibration.elevation, self.calibration.offset, np.zeros(f), 0.0, longest_m
         range_m, _, _ = nearest_surfaces(
-            np.stack([np.zeros(f), np.cos(self.azimuth), np.sin(self.azimuth)]),
-            np.stack([flat * np.cos(beams.offset), flat * np.sin(beams.offset), np.sin(beams.elevation)]),
+            *firings(Beams(self.azimuth, *beams)),
             Place(zero, zero, np.array([1.0, 0.0]), 0.0, np.ascontiguousarray(self.motion.rotation), _NO_GROUND_M),
             Moving(middle[None], zero[None], np.array([yaw]), np.zeros(1)),
             np.array([[np.cos(yaw), np.sin(yaw)]]),
             parts,
-            np.array([[0, 0, f, 0, len(flat)]], np.int64),
+            np.array([[0, 0, f, 0, c]], np.int64),
             Walls.of_buildings((), np.zeros(0)),
             np.zeros((0, 5), np.int64),
             longest_m,
@@ -200,7 +192,7 @@ def nearest(ascending: Floats, values: Floats) -> Ints:
     return np.where(values - ascending[before] < ascending[after] - values, before, after)
 
 
-class FiringMemory:
+class BeamMemory:
     """What a listener learns of one lidar from scan to scan: its motion and its beams."""
 
     def __init__(self) -> None:
@@ -220,12 +212,12 @@ class FiringMemory:
         self._poses += 1
         return still
 
-    def near(self, points: Points, azimuth: float, half_rad: float) -> Firings | None:
+    def near(self, points: Points, azimuth: float, half_rad: float) -> Sector | None:
         """The firings of the scan at the last pose within `half_rad` of an azimuth, both rad; None: without times."""
         if self._calibration is None or self._poses <= 2:
             fired = self._motion.as_fired(points.position, points.time_s)
             self._calibration = Calibration.of(fired, points)
-        return self._calibration and Firings.near(points, self._motion, self._calibration, azimuth, half_rad)
+        return self._calibration and Sector.near(points, self._motion, self._calibration, azimuth, half_rad)
 
 
 def chords(beam: Floats, position: Floats, size: Floats, yaw: Floats) -> tuple[Floats, Floats]:
