@@ -61,7 +61,7 @@ class PointAttack(ObjectsUnchanged, Attack):
     """Base class of attacks on points, with or without a spoofer.
 
     A scan is attacked with the probability P(aim) x P(timing) x P(width covers), drawn for each scan, and if the
-    spoofer has sight of the lidar. Scans whose points do not say their firing times stay as they are.
+    spoofer has sight of the lidar. Scans whose points do not say their firing times, or lie nowhere, stay as they are.
 
     start_s: s of scene time at which it begins;  end_s: s of scene time at which it ends
     place:   where the spoofer is; None: behind the sensor, where the attack always works
@@ -94,7 +94,7 @@ class PointAttack(ObjectsUnchanged, Attack):
         self._overhear(time_s, points)
         offset = None if self.place is None else self.place.position(time_s, lidar, self._surroundings) - lidar[0]
         across = self._speed_across(time_s, offset)
-        if not self.start_s <= time_s < self.end_s or not len(points):
+        if not self.start_s <= time_s < self.end_s or not len(points) or not np.isfinite(points.position).all():
             return points
         random = stream(self._seed, self._surroundings.scene, self._name, "spoofer", frame)
         towards = np.array([1.0, 0.0, 0.0]) if offset is None else offset @ lidar[1]

@@ -185,9 +185,8 @@ class TemporalCheck(PointCheck):
             plausible[new] = 1.0 - penetration(before, fresh)
         old = tracks[rows[~new]]
         plausible[~new] = np.where(old[:, 6] >= self._forgive, 1.0, old[:, 4])
-        current = np.column_stack(
-            [found.position[:, :2], np.full((len(found), 2), np.nan), plausible, *np.zeros((2, len(found)))]
-        )
+        unknown, none = np.full((len(found), 2), np.nan), np.zeros((len(found), 2))
+        current = np.column_stack([found.position[:, :2], unknown, plausible, none])
         step = (current[~new, :2] - old[:, :2]) / (1.0 + old[:, 5:6])
         current[~new, 2:4] = np.where(np.isnan(old[:, 2:4]), step, 0.5 * old[:, 2:4] + 0.5 * step)
         current[~new, 6] = old[:, 6] + 1

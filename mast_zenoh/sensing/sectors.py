@@ -67,13 +67,13 @@ class Calibration:
 
     @classmethod
     def of(cls, fired: Floats, points: Points) -> Calibration | None:
-        """From a scan, as its beams were fired (n, 3) m; None: its points do not say their times."""
+        """From a scan, not empty, as its beams were fired (n, 3) m; None: its points do not say their times."""
         time = points.time_s.astype(np.float64)
-        if len(time) < 2 or time.min() == time.max():
+        one = points.channel == np.bincount(points.channel).argmax()
+        if time[one].min() == time[one].max():
             return None
         azimuth = np.arctan2(fired[:, 1], fired[:, 0])
         elevation = np.arctan2(fired[:, 2], np.hypot(fired[:, 0], fired[:, 1]))
-        one = points.channel == np.bincount(points.channel).argmax()
         rate = float(np.polyfit(time[one], np.unwrap(azimuth[one]), 1)[0])
         channel, first = np.unique(points.channel, return_inverse=True)
         off = wrap_angle(azimuth - rate * time)

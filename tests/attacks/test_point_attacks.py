@@ -123,7 +123,9 @@ def test_nothing_happens_without_sight_or_out_of_time_or_without_points() -> Non
     for attack in (removal(start_s=1.0), removal(start_s=0.0, end_s=0.0), removal(success=0.0)):
         before, after = attacked(attack, EMPTY)
         assert after is before
-    for scan in (Points.empty(), Points.of(EMPTY.points().position)):
+    nowhere, few = EMPTY.points(), EMPTY.points().select(slice(0, 3))
+    nowhere.position[5] = np.nan
+    for scan in (Points.empty(), Points.of(EMPTY.points().position), nowhere, few, few.select(slice(0, 1))):
         assert removal().forge_points(0, 0, scan, EMPTY.lidar(0.0)) is scan
 
 
