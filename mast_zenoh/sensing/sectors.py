@@ -217,7 +217,8 @@ class BeamMemory:
         if self._calibration is None or self._poses <= 2:
             fired = self._motion.as_fired(points.position, points.time_s)
             self._calibration = Calibration.of(fired, points)
-        return self._calibration and Sector.near(points, self._motion, self._calibration, azimuth, half_rad)
+        seen = self._calibration
+        return None if seen is None else Sector.near(points, self._motion, seen, azimuth, half_rad)
 
 
 def chords(beam: Floats, position: Floats, size: Floats, yaw: Floats) -> tuple[Floats, Floats]:
