@@ -439,8 +439,9 @@ _TYPES = {
 
 def _effects(file: TableFile, sample: range) -> Table:
     """The rows of `RunFiles.effects`."""
+    columns = [*_EFFECTS, *({"points"} & {*file.columns})]  # runs from before points lack it
     if sample.step == 1:
-        return file.rows(_EFFECTS, _frames_of(sample))
+        return file.rows(columns, _frames_of(sample))
 
     def wanted(part: Table) -> Table:
         kinds = [np.unique(part[name], return_inverse=True)[1] for name in _KINDS]
@@ -449,8 +450,8 @@ def _effects(file: TableFile, sample: range) -> Table:
         mask[first] = True
         return rows(part, mask)
 
-    tables = [file.rows(_EFFECTS, range(0)), *map(wanted, file.parts(_EFFECTS))]
-    return {name: np.concatenate([table[name] for table in tables]) for name in _EFFECTS}
+    tables = [file.rows(columns, range(0)), *map(wanted, file.parts(columns))]
+    return {name: np.concatenate([table[name] for table in tables]) for name in columns}
 
 
 def _frames_of(sample: range) -> range | None:

@@ -230,7 +230,8 @@ def _points(run: Run, node: str) -> dict[str, int]:
         return {}
     rows = (table["interposer"] == node) & (table["points"] > 0)
     return {
-        effect: int(table["points"][rows & (table["effect"] == effect)].sum()) for effect in set(table["effect"][rows])
+        effect: int(table["points"][rows & (table["effect"] == effect)].sum())
+        for effect in sorted(set(table["effect"][rows].tolist()))
     }
 
 

@@ -4,7 +4,7 @@ from mast_zenoh.sensing.beams import Beams, LidarModel
 from mast_zenoh.sensing.cluster_detector import ClusterDetector, fit_box
 from mast_zenoh.sensing.clutter import Clutter
 from mast_zenoh.sensing.detection_model import CleanDetector, DetectionModel, Detector, LastingErrors
-from mast_zenoh.sensing.point_checks import OcclusionCheck, PointCheck, ShadowCheck, TemporalCheck
+from mast_zenoh.sensing.point_checks import CheckedDetector, OcclusionCheck, PointCheck, ShadowCheck, TemporalCheck
 from mast_zenoh.sensing.point_detector import NoDetections, PointDetector
 from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.raycast import Walls, lidar_points
@@ -14,6 +14,7 @@ from mast_zenoh.sensing.sensors import Camera, LidarSensor, in_view, sensor_pose
 __all__ = [
     "Beams",
     "Camera",
+    "CheckedDetector",
     "CleanDetector",
     "ClusterDetector",
     "Clutter",

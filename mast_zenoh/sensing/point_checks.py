@@ -13,6 +13,7 @@ import numpy as np
 
 from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Detections, Floats
+from mast_zenoh.sensing.point_detector import PointDetector
 from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.sectors import chords
 
@@ -194,3 +195,20 @@ class TemporalCheck(PointCheck):
         left = tracks[lost] + np.array([0, 0, 0, 0, 0, 1, 0])
         self._tracks = np.concatenate([current, left[left[:, 5] <= self._memory]])
         return plausible
+
+
+class CheckedDetector(PointDetector):
+    """A detector of points, without the detections that a check refuses.
+
+    detector: finds the objects;  checks: each is asked about all of them
+    """
+
+    def __init__(self, *, detector: PointDetector, checks: tuple[PointCheck, ...]) -> None:
+        self._detector, self._checks = detector, checks
+
+    def detect(self, points: Points) -> Detections:
+        found = self._detector.detect(points)
+        kept = np.ones(len(found), bool)
+        for each in self._checks:
+            kept &= each.keep(points, found)
+        return found.select(kept)

@@ -100,7 +100,7 @@ def effects(interposer: Interposer) -> tuple[Finding, ...]:
         number, clutter = interposer.objects.get(effect, (0, False))
         who, unit = ("clutter",) * clutter, "rows" if effect in OF_OBJECTS else "messages"
         parts.append(Finding("effect", who, effect, counts[effect], number or None, unit))
-    parts += [Finding("effect", what=of, value=n, unit="points") for of, n in sorted(interposer.points.items())]
+    parts += [Finding("effect", what=of, value=n, unit="points") for of, n in interposer.points.items()]
     named = interposer.reframed.items()
     return (*parts, *(Finding("effect", what="changed", value=number, unit=f"{of}s") for of, number in named))
 

@@ -1,0 +1,99 @@
+"""How far attacks on a lidar get: points landed, detected, tracked, fused, and the brake of a driven car.
+
+The spoofer is on a car ahead of the ego, which keeps its distance. The detector finds clusters: curves of trained
+networks are beside ours in docs/explanation-point-attacks.md.
+"""
+
+from mast_zenoh.errors import ConfigurationError, nearest
+from mast_zenoh.sensing import PointCheck
+from mast_zenoh.study.choices import junctions, parse_choices, resolve_choice, short_name, with_preset, words
+from mast_zenoh.study.defences.spoofed_sensing import SpoofedSensing
+
+#: By attack: its parameters, what a budget sets, and three budgets with their unit; what a distance sets.
+ATTACKS = dict(
+    injection=(dict(type="InjectedPoints"), "points", (20, 60, 200), "points", "distance_m"),
+    wall=(dict(type="GhostWall"), "points", (500, 1500, 4200), "points", "distance_m"),
+    removal=(dict(type="HighFrequencyRemoval"), "sector_deg", (10.0, 20.0, 40.0), "deg", ""),
+    early_echo=(dict(type="EarlyEcho"), "sector_deg", (10.0, 30.0, 60.0), "deg", ""),
+)
+DISTANCES_M = (8.0, 15.0)
+# On two cores: quick 3 minutes, hour one, full a night.
+PRESETS = dict(
+    quick=dict(
+        attacks="injection", budgets=1, distances=1, checks="none,OcclusionCheck", scenes="intersection:0", trials=2
+    ),
+    hour=dict(
+        attacks=",".join(ATTACKS),
+        budgets=3,
+        distances=1,
+        checks="none,OcclusionCheck",
+        scenes=junctions(0, 1),
+        trials=5,
+    ),
+    full=dict(
+        attacks=",".join(ATTACKS),
+        budgets=3,
+        distances=2,
+        checks="none,OcclusionCheck,ShadowCheck,TemporalCheck",
+        scenes=junctions(0, 4),
+        trials=10,
+    ),
+)
+
+
+def study(
+    preset="hour",
+    attacks=None,
+    budgets=None,
+    distances=None,
+    checks=None,
+    scenes=None,
+    trials=None,
+    start_s=4.0,
+    lidar="VLP-32C",
+    frames=100,
+    seed=0,
+):
+    """Attacks in pairs with their twins: the same junctions and seeds for all.
+
+    preset: quick, hour or full; it sets all that is None;
+    attacks: injection, wall, removal, early_echo; budgets, distances: how many of the values of each;
+    checks: of detections: none, OcclusionCheck, ShadowCheck, TemporalCheck, or classes or files of yours;
+    scenes: separated by commas; trials: seeds; start_s: s of scene time of the attack; lidar: a model;
+    frames: of each run; seed: the first one.
+    """
+    chosen = with_preset(PRESETS, **locals())
+    runs = {}
+    for check in parse_choices(chosen["checks"], "checks"):
+        refused = [] if check == "none" else [resolve_choice(check, PointCheck)]
+        name = "" if check == "none" else short_name(check)
+        common = dict(lidar=lidar, checks=refused)
+        factors = dict(check=name, start_s=start_s, frames=frames)
+        runs[f"no attack, {name or 'none'}"] = dict(
+            scenario="spoofed",
+            parameters=common | dict(attack=None),
+            factors=factors | dict(attack="", budget="", distance=""),
+        )
+        for attack in words(chosen["attacks"]):
+            if attack not in ATTACKS:
+                raise ConfigurationError(f"attacks: found {attack!r}{nearest(attack, ATTACKS)}")
+            spec, parameter, values, unit, place = ATTACKS[attack]
+            for budget in values[-chosen["budgets"] :]:
+                for distance in DISTANCES_M[: chosen["distances"]] if place else (None,):
+                    where = {place: distance} if place else {}
+                    title = f"{attack}, {budget:g} {unit}{f', {distance:g} m' if place else ''}, {name or 'none'}"
+                    runs[title] = dict(
+                        scenario="spoofed",
+                        parameters=common | dict(attack=spec | {parameter: budget, "start_s": start_s} | where),
+                        factors=factors
+                        | dict(attack=attack, budget=f"{budget:g} {unit}", distance=f"{distance:g} m" if place else ""),
+                    )
+    return dict(
+        name="sensing",
+        kind=SpoofedSensing,
+        runs=runs,
+        scenes=words(chosen["scenes"]),
+        trials=chosen["trials"],
+        frames=frames,
+        seed=seed,
+    )
