@@ -50,7 +50,7 @@ def scenario(
     victim: the agent whose lidar it is;
     checks: of detections against points, such as "OcclusionCheck", separated by commas: what they refuse is left out;
     detector: "ClusterDetector", FILE.py:CLASS or a dict; detected_by: detector (a node), agent or simulator;
-    lidar: a model of all agents, such as "VLP-32C"; None: their own; clutter: what stands beside the road, None: nothing;
+    lidar: a model of all agents, such as "VLP-32C"; None: their own; clutter: what stands beside roads, or None;
     defence, veto, estimate: as for the scenario `driving`.
     """
     content = driving(
