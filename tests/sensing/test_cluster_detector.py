@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mast_zenoh.arrays.geometry import rotation_from_yaw_pitch
+from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Detections, Floats
 from mast_zenoh.sensing import ClusterDetector, NoDetections, Walls, fit_box, scan
 from mast_zenoh.sensing.beams import MODELS
-from mast_zenoh.sensing.point_detector import detect_levelled, problem_of
+from mast_zenoh.sensing.point_detector import detected, problem_of
 from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.shapes import Parts
 
@@ -114,7 +114,8 @@ def test_slope_is_ground(slope: float, model: str) -> None:
 def test_lidar_on_a_pole_that_looks_down_works_in_its_own_frame() -> None:
     mount = rotation_from_yaw_pitch(0.0, np.radians(30.0))
     points = scanned(("car", 20.0, 3.0, 0.5), ("pedestrian", 14.0, -3.0, 0.0), height=12.0, mount=mount)
-    found = detect_levelled(ClusterDetector(), points, mount)
+    scan = points.columns() | {"mount_position": np.zeros(3), "mount_rotation": quaternion_from_rotation(mount)}
+    found = Detections.from_columns(detected(ClusterDetector(), scan | {"level_rotation": scan["mount_rotation"]}))
     assert names(found) == ["car", "pedestrian"]
     place = found.position @ mount.T
     assert np.hypot(*(place[list(found.class_id).index(CLASS_INDEX["car"]), :2] - (20.0, 3.0))) < 0.3
