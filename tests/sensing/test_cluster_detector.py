@@ -114,8 +114,8 @@ def test_slope_is_ground(slope: float, model: str) -> None:
 def test_lidar_on_a_pole_that_looks_down_works_in_its_own_frame() -> None:
     mount = rotation_from_yaw_pitch(0.0, np.radians(30.0))
     points = scanned(("car", 20.0, 3.0, 0.5), ("pedestrian", 14.0, -3.0, 0.0), height=12.0, mount=mount)
-    scan = points.columns() | {"mount_position": np.zeros(3), "mount_rotation": quaternion_from_rotation(mount)}
-    found = Detections.from_columns(detected(ClusterDetector(), scan | {"level_rotation": scan["mount_rotation"]}))
+    pose = {"level_rotation": quaternion_from_rotation(mount), "mount_position": np.zeros(3), "mount_rotation": LEVEL}
+    found = Detections.from_columns(detected(ClusterDetector(), points.columns() | pose))
     assert names(found) == ["car", "pedestrian"]
     place = found.position @ mount.T
     assert np.hypot(*(place[list(found.class_id).index(CLASS_INDEX["car"]), :2] - (20.0, 3.0))) < 0.3
