@@ -116,4 +116,5 @@ class OnCar(Spoofer):
         if self.agent not in surroundings.sensors:
             known = ", ".join(surroundings.sensors) or "none"
             raise ValueError(f"agent: found {self.agent!r}, expected one of {known}")
-        return surroundings.sensors[self.agent].route.position_at(time_s) + np.array([0.0, 0.0, self.height_m])
+        x, y, z = surroundings.sensors[self.agent].route.position_at(time_s)
+        return np.array([x, y, z + self.height_m])

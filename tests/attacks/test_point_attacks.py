@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_scans import CAR, HEIGHT_M, Street
+from tiny_world import Run, tiny
 
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.attacks import Attack, PassThrough, PointAttack, Surroundings, point_attacks, point_phantoms, spoofers
@@ -282,3 +283,24 @@ def test_a_spoofer_on_a_car_moves_with_the_route_of_its_agent() -> None:
 def test_an_impossible_number_is_refused_with_its_name(name: str, make: Any) -> None:
     with pytest.raises(ValueError, match=f"{name}: found"):
         make()
+
+
+def test_a_phantom_on_the_wire_of_one_lidar_becomes_a_detection_of_that_agent_alone() -> None:
+    def found(attack: dict[str, Any] | None) -> dict[str, list[int]]:
+        def edit(content: dict[str, Any]) -> None:
+            content["points"] = dict(detector=dict(type="ClusterDetector"), lidar="VLP-16", clutter=None)
+            if attack:
+                content["adversaries"] = dict(spoofer_1=dict(type="Adversary", agent="ego", attack=attack))
+                content["keyexpr"] = dict(map="testbed.toml", rewrites=["on_points.toml"])
+
+        run = Run(tiny(frames=5, edit=edit))
+        assert not run.failures
+        return {
+            agent: [len(message.body["yaw"]) for message in run.decoded(f"agent/{agent}/detections", "detections")]
+            for agent in ("ego", "infra_1")
+        }
+
+    quiet = found(None)
+    spoofed = found(dict(type="CaoInjection", start_s=0.2, place=dict(type="Following", **SURE)))
+    assert [a - b for a, b in zip(spoofed["ego"], quiet["ego"], strict=True)] == [0, 0, 1, 1, 1]
+    assert spoofed["infra_1"] == quiet["infra_1"]
