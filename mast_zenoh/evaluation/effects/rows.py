@@ -357,7 +357,9 @@ def changed_scans(messages: Sequence[ChangedMessage]) -> tuple[ObjectChanges, tu
     gained = (effect == INSERTED)[:, None]
     reference = np.stack([np.stack([_reference(item.before), _reference(item.after)]) for item in messages], axis=1)
     return ObjectChanges(
-        *(np.array([getattr(item, name) for item in messages], np.int64)[row] for name in ("frame", "seq", "step")),
+        frame=np.array([item.frame for item in messages], np.int64)[row],
+        seq=np.array([item.seq for item in messages], np.int64)[row],
+        step=np.array([item.step for item in messages], np.int64)[row],
         effect=effect,
         columns=text([""] * len(found)),
         id=np.full(len(found), -1, np.int64),

@@ -137,8 +137,8 @@ def _objects(index: int, meter: PassageMeter, poses: Poses) -> dict[str, np.ndar
     objects = meter.effects.objects
     if not objects:
         return dict(_EMPTY)
-    names = ("frame", "seq", "step", "effect", "columns", "id", "before", "after", "velocity", "whole", "frames_late")
-    names = (*names, "points")
+    times = ("frame", "seq", "step", "frames_late")
+    names = (*times, "effect", "columns", "id", "before", "after", "velocity", "whole", "points")
     columns = {name: np.concatenate([getattr(part, name) for part in objects]) for name in names}
     references = np.concatenate([part.references for part in objects], axis=1)
     of_agent = objects[0].of_agent

@@ -1,0 +1,68 @@
+"""From a spoofer's pulses to the brake: the same in process and on the mesh, and in tables of causes."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mast_zenoh as mast
+from mast_zenoh.run_folder.recording.difference import compare
+from mast_zenoh.run_folder.tables import from_arrow
+
+FRAMES = 60
+SETTINGS: dict[str, Any] = dict(frames=FRAMES, attack_start_s=2.0, n_infrastructure=1, **{"points.recorded": True})
+
+
+@pytest.fixture(scope="module")
+def spoofed(tmp_path_factory: pytest.TempPathFactory) -> mast.Run:
+    """Phantom points at the ego's lidar from 2 s on."""
+    folder = tmp_path_factory.mktemp("spoofed") / "run"
+    return mast.run("spoofed", out=folder, runtime="inproc", **SETTINGS)
+
+
+def test_false_objects_are_made_of_the_points_that_a_spoofer_inserted(spoofed: mast.Run) -> None:
+    effects, objects = from_arrow(spoofed.attacks), from_arrow(spoofed.objects)
+    inserted = (effects["effect"] == "inserted") & (effects["message"] == "points")
+    assert set(effects["interposer"]) == {"spoofer_1"}
+    assert set(effects["wire"][inserted]) == {"agent/ego/points"}
+    assert 0 < effects["points"][inserted].max() <= 200, "its budget"
+    assert effects["frame"].min() == 20
+    false = (objects["cause"] == "inserted") & (objects["by"] == "spoofer_1")
+    assert {"local", "picture", "mission"} <= set(objects["estimator"][false])
+    report = spoofed.report().read_text("utf-8")
+    assert "points a scan that spoofer_1 inserted at ego" in report
+
+
+def test_without_a_spoofer_nothing_is_false_because_of_it_and_the_car_drives_on(
+    spoofed: mast.Run, tmp_path: Path
+) -> None:
+    twin = mast.run("spoofed", out=tmp_path / "twin", frames=FRAMES, runtime="inproc", attack=None, n_infrastructure=1)
+    assert not len(twin.attacks)
+    driven = [from_arrow(run.driven) for run in (twin, spoofed)]
+    np.testing.assert_array_equal(*(each["x"][:20] for each in driven))
+    assert driven[0]["speed_mps"][-1] > driven[1]["speed_mps"][-1] + 1.0, "the ego brakes for the phantom"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (dict(attack="Phantom"), "Phantom"),
+        (dict(checks="OclusionCheck"), "did you mean 'OcclusionCheck'"),
+        (dict(detector="ClusterDetectr"), "did you mean 'ClusterDetector'"),
+        (dict(victim="nobody"), "no agent 'nobody'"),
+        (dict(attack=None, attack_start_s=3.0), "attack_start_s: found 3.0, expected nothing: it needs an attack"),
+    ],
+)
+def test_what_is_wrong_with_a_spoofed_scenario_is_named(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(mast.MastError, match=message):
+        mast.run("spoofed", frames=2, runtime="inproc", **settings)
+
+
+@pytest.mark.heavy
+@pytest.mark.timeout(300)
+def test_spoofed_is_the_same_on_the_mesh(spoofed: mast.Run, tmp_path: Path) -> None:
+    mesh = mast.run("spoofed", out=tmp_path / "mesh", runtime="mesh", **SETTINGS)
+    difference = compare(spoofed.path, mesh.path)
+    assert difference.first is None
+    assert any(message.type == "points" for message in mesh.messages("agent/ego/points")), "scans are recorded, too"
