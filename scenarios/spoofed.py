@@ -45,7 +45,7 @@ def scenario(
     """The ego of a generated junction is driven, and its lidar, or that of another agent, is spoofed.
 
     attack: phantom, wall, removal or early_echo, all by a spoofer ahead of the lidar; a class, such as "Mirror",
-    FILE.py or FILE.py:CLASS; or a dict with one of these as `type`, and parameters; None: no spoofer;
+    FILE.py or FILE.py:CLASS; or a dict with one of these as `type`, and parameters; "none": no spoofer;
     attack_start_s: start of the attack, in scene time; None: as its class says, 4 s for those that come with mast;
     victim: the agent whose lidar it is;
     checks: of detections against points, such as "OcclusionCheck", separated by commas: what they refuse is left out;
@@ -69,7 +69,7 @@ def scenario(
     beside = None if clutter is None else resolve_choice(clutter, Clutter)
     points = dict(lidar=lidar, clutter=beside, detector=finds, detected_by=detected_by)
     content |= dict(name="spoofed", points=points)
-    if attack is None:
+    if attack == "none":
         refuse_unused("an attack", attack_start_s=attack_start_s)
         return content
     attack = ATTACKS.get(attack, attack) if isinstance(attack, str) else attack

@@ -20,14 +20,14 @@ DISTANCES_M = (8.0, 15.0)
 # On two cores: quick 3 minutes, hour one, full a night.
 PRESETS = dict(
     quick=dict(
-        attacks="injection", budgets=1, distances=1, checks="none,OcclusionCheck", scenes="intersection:0", trials=2
+        attacks="injection", budgets=1, distances=1, checks="none,OcclusionCheck", scenes="intersection:6", trials=2
     ),
     hour=dict(
         attacks=",".join(ATTACKS),
         budgets=3,
         distances=1,
         checks="none,OcclusionCheck",
-        scenes=junctions(0, 1),
+        scenes=junctions(6, 7),
         trials=5,
     ),
     full=dict(
@@ -35,7 +35,7 @@ PRESETS = dict(
         budgets=3,
         distances=2,
         checks="none,OcclusionCheck,ShadowCheck,TemporalCheck",
-        scenes=junctions(0, 4),
+        scenes=junctions(6, 10),
         trials=10,
     ),
 )
@@ -71,7 +71,7 @@ def study(
         factors = dict(check=name, start_s=start_s, frames=frames)
         runs[f"no attack, {name or 'none'}"] = dict(
             scenario="spoofed",
-            parameters=common | dict(attack=None),
+            parameters=common | dict(attack="none"),
             factors=factors | dict(attack="", budget="", distance=""),
         )
         for attack in words(chosen["attacks"]):

@@ -37,7 +37,7 @@ def test_false_objects_are_made_of_the_points_that_a_spoofer_inserted(spoofed: m
 def test_without_a_spoofer_nothing_is_false_because_of_it_and_the_car_drives_on(
     spoofed: mast.Run, tmp_path: Path
 ) -> None:
-    twin = mast.run("spoofed", out=tmp_path / "twin", frames=FRAMES, runtime="inproc", attack=None, n_infrastructure=1)
+    twin = mast.run("spoofed", out=tmp_path / "twin", frames=FRAMES, runtime="inproc", attack="none", n_infrastructure=1)
     assert not len(twin.attacks)
     driven = [from_arrow(run.driven) for run in (twin, spoofed)]
     np.testing.assert_array_equal(*(each["x"][:20] for each in driven))
@@ -51,7 +51,7 @@ def test_without_a_spoofer_nothing_is_false_because_of_it_and_the_car_drives_on(
         (dict(checks="OclusionCheck"), "did you mean 'OcclusionCheck'"),
         (dict(detector="ClusterDetectr"), "did you mean 'ClusterDetector'"),
         (dict(victim="nobody"), "no agent 'nobody'"),
-        (dict(attack=None, attack_start_s=3.0), "attack_start_s: found 3.0, expected nothing: it needs an attack"),
+        (dict(attack="none", attack_start_s=3.0), "attack_start_s: found 3.0, expected nothing: it needs an attack"),
     ],
 )
 def test_what_is_wrong_with_a_spoofed_scenario_is_named(settings: dict[str, Any], message: str) -> None:
