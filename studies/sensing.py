@@ -68,7 +68,7 @@ def study(
         refused = [] if check == "none" else [resolve_choice(check, PointCheck)]
         name = "" if check == "none" else short_name(check)
         common = dict(lidar=lidar, checks=refused)
-        factors = dict(check=name, start_s=start_s, frames=frames)
+        factors = dict(check=name, start_s=start_s)
         runs[f"no attack, {name or 'none'}"] = dict(
             scenario="spoofed",
             parameters=common | dict(attack="none"),

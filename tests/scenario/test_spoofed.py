@@ -37,7 +37,9 @@ def test_false_objects_are_made_of_the_points_that_a_spoofer_inserted(spoofed: m
 def test_without_a_spoofer_nothing_is_false_because_of_it_and_the_car_drives_on(
     spoofed: mast.Run, tmp_path: Path
 ) -> None:
-    twin = mast.run("spoofed", out=tmp_path / "twin", frames=FRAMES, runtime="inproc", attack="none", n_infrastructure=1)
+    twin = mast.run(
+        "spoofed", out=tmp_path / "twin", frames=FRAMES, runtime="inproc", attack="none", n_infrastructure=1
+    )
     assert not len(twin.attacks)
     driven = [from_arrow(run.driven) for run in (twin, spoofed)]
     np.testing.assert_array_equal(*(each["x"][:20] for each in driven))

@@ -93,7 +93,7 @@ class SpoofedSensing(Kind):
         did = {"needless": driven["needless_brakes"], "collided": float(bool(driven["collisions"]))}
         if not factors["attack"]:
             return did
-        frames, landed = factors["frames"] - round(factors["start_s"] * 10.0), part["landed"]
+        frames, landed = outcome.metrics["frames"] - round(factors["start_s"] * 10.0), part["landed"]
         shares = {"landed": landed / frames, "detected": part["detected"] / landed if landed else 0.0}
         of_frames = part["frames"]
         shares |= {link: part[link] / of_frames if of_frames else 0.0 for link in ("tracked", "fused")}
