@@ -29,7 +29,7 @@ DIRECTIONS: tuple[Direction, ...] = ("toward", "away", "sideways", "random")
 
 
 class PosePert(SlowDrift):
-    """Shifts the real objects nearest to the ego by less than a metre.
+    """Shifts the real objects nearest to the ego by up to a metre.
 
     The shift grows to its full size in `rise_s`, and the claimed velocity agrees with it while it grows. It is in the
     order of the errors of honest tracks, so that a test of single messages cannot tell, and below the radius within
@@ -37,16 +37,20 @@ class PosePert(SlowDrift):
 
     Threat model: the attacker controls one agent's tracks or detections, and knows the ego's route; with the trust,
     shifts shrink while the trust in its agent is more than `tolerance` below its highest value.
-    Source: PosePert (arXiv 2605.01301). We know its abstract and quotations of the paper, not the paper: there, a
-    network changes feature maps so that an object is detected less than 1 m away. Here its position is changed.
+    Source: PosePert (arXiv 2605.01301; zqzqz/PosePert 3c95189). We know its abstract, quotations and the code of its
+    closed loop: there, a network changes feature maps so that an object is detected up to 1 m away, 0.5 m more in each
+    frame (here rise_s=0.2 at 10 Hz, offset_m=1). Here its position is changed.
 
-    offset_m:  m, size of the shift, less than 1
+    offset_m:  m, size of the shift, at most 1
     direction: "toward" the ego's path ahead, "away" from it, "sideways" (to the left of the object's heading), or
                "random"; without a known path, the first two are relative to the victim
     rise_s:    s, in which the shift grows to its size
     tolerance: 0 to 1, fall of the trust that is accepted
     budget:    lies per second, so the number of objects
     start_s:   s of scene time at which the attack begins
+    end_s:     s of scene time at which it ends, at once; None: never
+    covariance_factor: by which the covariances of shifted objects are multiplied; below 1, a fusion believes them more,
+               as features that are amplified there
     """
 
     def __init__(
@@ -58,15 +62,29 @@ class PosePert(SlowDrift):
         tolerance: float = 0.05,
         budget: float = 2.0,
         start_s: float = 4.0,
+        end_s: float | None = None,
+        covariance_factor: float = 1.0,
     ) -> None:
-        check("more than 0 and less than 1", offset_m=offset_m)
+        check("more than 0 and at most 1", offset_m=offset_m, covariance_factor=covariance_factor)
         check("more than 0, finite", rise_s=rise_s)
         if direction not in DIRECTIONS:
             raise ValueError(f"direction: found {direction!r}{nearest(str(direction), DIRECTIONS)}")
         super().__init__(
             rate_mps=offset_m / rise_s, limit_m=offset_m, tolerance=tolerance, budget=budget, start_s=start_s
         )
-        self._policy = direction
+        if end_s is not None and not end_s > start_s:
+            raise ValueError(f"end_s: found {end_s}, expected more than start_s, {start_s}")
+        self._policy, self._end_s = direction, np.inf if end_s is None else end_s
+        self._covariance = covariance_factor
+
+    def observe(self, moment: Moment) -> None:
+        super().observe(moment)
+        if moment.time_s >= self._end_s - 1e-9:
+            self.dormant = True
+
+    def _claims(self, moment: Moment, numbers: Ints, real: ObjectStates) -> ObjectStates:
+        claims = super()._claims(moment, numbers, real)
+        return claims.with_(covariance=claims.covariance * self._covariance)
 
     def _directions(self, moment: Moment, numbers: Ints, real: ObjectStates) -> dict[int, float]:
         if self._policy == "random":
@@ -75,9 +93,13 @@ class PosePert(SlowDrift):
             angle = real.yaw + 0.5 * np.pi
         else:
             path = path_ahead(moment.coverage)
-            goal = moment.position[None, :2] if path is None else path.nearest_points(real.position)
-            offset = (goal - real.position[:, :2]) * (1.0 if self._policy == "toward" else -1.0)
-            angle = np.arctan2(offset[:, 1], offset[:, 0])
+            if path is None:
+                offset = moment.position[None, :2] - real.position[:, :2]
+                angle = np.arctan2(offset[:, 1], offset[:, 0])
+            else:
+                along, left = path.place(real.position)
+                angle = path.at(along)[1] - 0.5 * np.pi * np.where(left >= 0.0, 1.0, -1.0)
+            angle = angle if self._policy == "toward" else angle + np.pi
         return dict(zip(numbers.tolist(), angle.tolist(), strict=True))
 
 

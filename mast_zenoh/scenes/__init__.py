@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mast_zenoh.scenes.cache import prepare_sweeps as prepare_sweeps
     from mast_zenoh.scenes.from_arrays import from_arrays as from_arrays
     from mast_zenoh.scenes.generated.intersection import Intersection as Intersection
+    from mast_zenoh.scenes.generated.road import StraightRoad as StraightRoad
     from mast_zenoh.scenes.making.sensor_types import Sensor as Sensor
     from mast_zenoh.scenes.own_detections import OwnDetections as OwnDetections
     from mast_zenoh.scenes.recording import Recording as Recording
@@ -28,6 +29,7 @@ _TYPES = {
     "Intersection": "generated.intersection",
     "RecordingFile": "recording_file",
     "OwnDetections": "own_detections",
+    "StraightRoad": "generated.road",
 }
 _OTHERS = {
     "Recording": "recording",
@@ -48,6 +50,7 @@ __all__ = [
     "Scene",
     "SceneAgent",
     "Sensor",
+    "StraightRoad",
     "cache_folder",
     "from_arrays",
     "prepare",

@@ -39,7 +39,7 @@ REFUSED: dict[Any, dict[str, list[Any]]] = {
     attack.SeizedCommands: dict(start_s=[-1.0], end_s=[nan, -1.0], acceleration=[inf]),
     SlowDrift: dict(budget=NOT_POSITIVE),
     disputes.PairedDenial: dict(witnesses=[-1], budget=[0.0], tolerance=[2.0]),
-    evasion.PosePert: dict(offset_m=[0.0, 1.0, -0.5, nan], direction=["sideway"]),
+    evasion.PosePert: dict(offset_m=[0.0, 1.1, -0.5, nan], direction=["sideway"], end_s=[nan, -1.0]),
     evasion.BlindAreaConfusion: dict(action=["inserts"]),
     evasion.PretendBenign: dict(
         memory_s=[0.0], duty=[0.0, 1.0], inspected_share=[0.0], tolerance=[-1.0], start_s=[-1.0]),

@@ -1,0 +1,70 @@
+"""A shared vehicle is perceived up to a metre aside: the closed loop of PosePert beside ours, and three defences.
+
+Theirs is CARLA with trained networks, whose feature maps are perturbed; ours has tracks, whose positions are changed. A
+driver with forecasts, as theirs, meets the cut-in; the suppressed leader is not seen by one that brakes for what is in
+its way. Theirs: a forecast of 2 s by a network, and lanes in which centres are within 1.7 m; ours: ProposalDriver (4 s
+at constant velocity) and FollowingDriver without a margin (outlines that overlap its own: centres within 1.85 m).
+"""
+
+from mast_zenoh.integrity import Integrity
+from mast_zenoh.study.choices import resolve_choice, several, with_preset, words
+from mast_zenoh.study.defences.pose_perturbation import PosePerturbation
+
+#: s of scene time at which the attack begins, and frames for which it lasts: in a cut-in 0.8 s after the beginning, for
+#: 5 frames; behind a leader at 35 m (here between 30 and 40), for 40, or 400: to the end of the run.
+CASES = dict(cut_in=(2.8, (5, 40)), leader=(2.75, (40, 400)))
+DRIVERS = dict(
+    cut_in=dict(type="ProposalDriver"),
+    leader=dict(type="FollowingDriver", margin_m=0.0, horizon_m=30.0),
+)
+#: 0.5 m more in each frame, up to 1 m, of the one vehicle that the collaborator shares with the ego.
+ATTACK = dict(type="PosePert", offset_m=1.0, rise_s=0.2, covariance_factor=0.25, budget=1.0)
+#: Thresholds at which 5 % of 1,460 frames without an attack have an alarm about the vehicle, with seeds 101 to 110.
+DEFENCES = dict(
+    none=None,
+    Cad=dict(type="Cad", threshold_m2=1.63),
+    Made=dict(type="Made", alpha=0.088),
+    PoseGuard=dict(type="PoseGuard", agree_m=0.45),
+)
+# On two cores: quick 1 minute, full half an hour at most.
+PRESETS = dict(
+    quick=dict(trials=2, defences="none,PoseGuard"),
+    full=dict(trials=12, defences=",".join(DEFENCES)),
+)
+
+
+def study(preset="full", cases="cut_in,leader", defences=None, trials=None, frames=100, seed=0):
+    """Attacks in pairs with their twins: the same roads and seeds for all.
+
+    preset: quick or full; it sets all that is None;
+    cases: cut_in, leader; defences: none, Cad, Made, PoseGuard, each at 5 % false alarms, or classes or files;
+    trials: number of roads, a seed each; seed: the first one; frames: of each run.
+    """
+    chosen = with_preset(PRESETS, **locals())
+    runs = {}
+    for case in words(cases):
+        start_s, lengths = CASES[case]
+        for name in words(chosen["defences"]):
+            defence = DEFENCES[name] if name in DEFENCES else resolve_choice(name, Integrity)
+            common = {"scene": f"road:{case}", "driver": DRIVERS[case]} | ({"defence": defence} if defence else {})
+            common["agents.*.pipeline.mission"] = dict(type="PictureFirst")
+            for length in (0, *several(lengths)):
+                attack = ATTACK | dict(
+                    direction="toward" if case == "cut_in" else "away",
+                    start_s=start_s,
+                    end_s=start_s + 0.1 * length,
+                )
+                attacked = dict(attack=attack, wire="tracks", compromised=["mobile_1"])
+                runs[f"{case}, {f'{length} frames' if length else 'no attack'}, {name}"] = dict(
+                    scenario="driving",
+                    parameters=common | (attacked if length else {}),
+                    factors=dict(case=case, frames=length, start_s=start_s, defence="" if name == "none" else name),
+                )
+    return dict(
+        name="posepert",
+        kind=PosePerturbation,
+        runs=runs,
+        trials=chosen["trials"],
+        frames=frames,
+        seed=seed,
+    )
