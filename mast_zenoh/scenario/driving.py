@@ -55,7 +55,8 @@ def simulator_config(
     if type(registry.build(spec, Scene, f"{path}: scene")).world is Scene.world:
         raise ConfigurationError(
             f"{path}: drivers: a scene of the type {spec['type']} cannot be stepped, so its cars cannot be driven: "
-            "expected Intersection, SumoTraffic (sumo:FILE.sumocfg), or a scene of yours that defines `world`"
+            "expected Intersection, StraightRoad (road:CASE), SumoTraffic (sumo:FILE.sumocfg), or a scene of yours "
+            "that defines `world`"
         )
     if recording.period_ns > _SLOWEST_NS:
         raise ConfigurationError(

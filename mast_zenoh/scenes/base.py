@@ -60,7 +60,7 @@ class Scene(ABC):
         """
         raise ConfigurationError(
             f"scene: {type(self).__name__} cannot be stepped, so its cars cannot be driven: expected Intersection, "
-            "SumoTraffic, or a scene of yours that defines `world`; or leave out `drivers`"
+            "StraightRoad, SumoTraffic, or a scene of yours that defines `world`; or leave out `drivers`"
         )
 
     def inputs(self) -> Sequence[Path]:
