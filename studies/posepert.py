@@ -1,9 +1,9 @@
 """A shared vehicle is perceived up to a metre aside: the closed loop of PosePert beside ours, and three defences.
 
-Theirs is CARLA with trained networks, whose feature maps are perturbed; ours has tracks, whose positions are changed. A
-driver with forecasts, as theirs, meets the cut-in; the suppressed leader is not seen by one that brakes for what is in
-its way. Theirs: a forecast of 2 s by a network, and lanes in which centres are within 1.7 m; ours: ProposalDriver (4 s
-at constant velocity) and FollowingDriver without a margin (outlines that overlap its own: centres within 1.85 m).
+Theirs is CARLA with trained networks, whose features are perturbed and amplified (beta 2); ours has tracks, whose
+positions are changed, with a quarter of their covariance for the beta. Theirs forecasts 2 s by a network, and a vehicle
+is in the lane if its centre is within 1.7 m; ours meets the cut-in with ProposalDriver (4 s at constant velocity), and
+the leader with FollowingDriver without a margin (outlines that overlap its own: centres within 1.85 m).
 """
 
 from mast_zenoh.integrity import Integrity
