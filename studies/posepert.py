@@ -7,18 +7,22 @@ the leader with FollowingDriver without a margin (outlines that overlap its own:
 """
 
 from mast_zenoh.integrity import Integrity
-from mast_zenoh.study.choices import resolve_choice, several, with_preset, words
+from mast_zenoh.study.choices import resolve_choice, with_preset, words
 from mast_zenoh.study.defences.pose_perturbation import PosePerturbation
 
-#: s of scene time at which the attack begins, and frames for which it lasts: in a cut-in 0.8 s after the beginning, for
-#: 5 frames; behind a leader at 35 m (here between 30 and 40), for 40, or 400: to the end of the run.
-CASES = dict(cut_in=(2.8, (5, 40)), leader=(2.75, (40, 400)))
+#: s of scene time at which the attack begins; frames for which it lasts, and m by which the shift grows in each. In a
+#: cut-in, it begins after 0.8 s; behind a leader, 35 m before it (here 30 to 40 m), and 400 frames are to the end of the
+#: run. Theirs chooses 0 to 0.5 m in each frame.
+CASES = dict(
+    cut_in=(2.8, ((5, 0.5), (5, 0.2), (40, 0.5))),
+    leader=(2.75, ((40, 0.5), (400, 0.5))),
+)
 DRIVERS = dict(
     cut_in=dict(type="ProposalDriver"),
     leader=dict(type="FollowingDriver", margin_m=0.0, horizon_m=30.0),
 )
-#: 0.5 m more in each frame, up to 1 m, of the one vehicle that the collaborator shares with the ego.
-ATTACK = dict(type="PosePert", offset_m=1.0, rise_s=0.2, covariance_factor=0.25, budget=1.0)
+#: Up to 1 m, of the one vehicle that the collaborator shares with the ego.
+ATTACK = dict(type="PosePert", offset_m=1.0, budget=1.0)
 #: Thresholds at which 5 % of 1,460 frames without an attack have an alarm about the vehicle, with seeds 101 to 110.
 DEFENCES = dict(
     none=None,
@@ -33,32 +37,45 @@ PRESETS = dict(
 )
 
 
-def study(preset="full", cases="cut_in,leader", defences=None, trials=None, frames=100, seed=0):
+def study(
+    preset="full",
+    cases="cut_in,leader",
+    defences=None,
+    covariance_factor=0.25,
+    trials=None,
+    frames=100,
+    seed=0,
+):
     """Attacks in pairs with their twins: the same roads and seeds for all.
 
     preset: quick or full; it sets all that is None;
     cases: cut_in, leader; defences: none, Cad, Made, PoseGuard, each at 5 % false alarms, or classes or files;
+    covariance_factor: by which the attacker multiplies the covariances of what it shifts;
     trials: number of roads, a seed each; seed: the first one; frames: of each run.
     """
     chosen = with_preset(PRESETS, **locals())
     runs = {}
     for case in words(cases):
-        start_s, lengths = CASES[case]
+        start_s, attacks = CASES[case]
         for name in words(chosen["defences"]):
             defence = DEFENCES[name] if name in DEFENCES else resolve_choice(name, Integrity)
             common = {"scene": f"road:{case}", "driver": DRIVERS[case]} | ({"defence": defence} if defence else {})
             common["agents.*.pipeline.mission"] = dict(type="PictureFirst")
-            for length in (0, *several(lengths)):
+            for length, step_m in ((0, 0.0), *attacks):
                 attack = ATTACK | dict(
+                    rise_s=0.1 / step_m if step_m else None,
+                    covariance_factor=covariance_factor,
                     direction="toward" if case == "cut_in" else "away",
                     start_s=start_s,
                     end_s=start_s + 0.1 * length,
                 )
                 attacked = dict(attack=attack, wire="tracks", compromised=["mobile_1"])
-                runs[f"{case}, {f'{length} frames' if length else 'no attack'}, {name}"] = dict(
+                runs[f"{case}, {f'{length} frames {step_m:g} m' if length else 'no attack'}, {name}"] = dict(
                     scenario="driving",
                     parameters=common | (attacked if length else {}),
-                    factors=dict(case=case, frames=length, start_s=start_s, defence="" if name == "none" else name),
+                    factors=dict(
+                        case=case, frames=length, step_m=step_m, start_s=start_s, defence="" if name == "none" else name
+                    ),
                 )
     return dict(
         name="posepert",

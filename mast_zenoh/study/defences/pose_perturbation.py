@@ -52,8 +52,8 @@ PUBLISHED = (
 class PosePerturbation(Kind):
     """Harm, realised shift and alarms by attack and defence.
 
-    Its factors: case, of the road; frames, for which the attack lasts, 0: no attack; start_s, s of scene time at which
-    it begins; defence, "": none
+    Its factors: case, of the road; frames, for which the attack lasts, 0: no attack; step_m, m by which the shift grows
+    in each; start_s, s of scene time at which it begins; defence, "": none
     """
 
     name = "posepert"
@@ -131,7 +131,7 @@ class PosePerturbation(Kind):
         return [self._row(factors) for factors in self.trials if factors["frames"]]
 
     def _row(self, factors: Factors) -> Row:
-        frames, twin = factors["frames"], factors.but(frames=0)
+        twin = factors.but(frames=0, step_m=0.0)
 
         def pair(name: str) -> tuple[Floats, Floats]:
             return self.values(twin, name), self.values(factors, name)
@@ -158,7 +158,8 @@ class PosePerturbation(Kind):
             share = [float(alarms[key].mean()) if key in alarms else NAN for key in self.order]
             numbers[name] = self.mean(np.where(safe, share, NAN), (0.0, 1.0))
         numbers["harm"] = numbers[CASES[factors["case"]][1]]
-        of = {"attack": f"{CASES[factors['case']][0]}, {frames} frames", "defence": factors["defence"] or "none"}
+        attack = f"{CASES[factors['case']][0]}, {factors['frames']} frames, {factors['step_m']:g} m each"
+        of = {"attack": attack, "defence": factors["defence"] or "none"}
         return Row(of | {"case": factors["case"]}, int(safe.sum()), numbers)
 
     def _share(self, happened: Bools, safe: Bools) -> Statistic:

@@ -19,7 +19,7 @@ SEEDS = 6
 
 
 def factors_of(case: str, frames: int, defence: str = "") -> Factors:
-    return Factors(case=case, frames=frames, start_s=2.0, defence=defence)
+    return Factors(case=case, frames=frames, step_m=0.5 if frames else 0.0, start_s=2.0, defence=defence)
 
 
 def trial(label: str, seed: int, kmh: float, ttc_s: float | None, shift_m: float, alarm: bool, hits: int = 0) -> Any:
@@ -68,7 +68,7 @@ def test_a_suppressed_leader_is_unsafe_if_hit_or_nearly() -> None:
     text = " ".join(conclusion(study.table()))
     assert "is unsafe on 40 % [5, 85] of 5 roads" in text
     tables = study.tables(study.table())
-    ours = [line for line in tables.tables[0].lines if line[0] == "suppressed leader, 5 frames"]
+    ours = [line for line in tables.tables[0].lines if line[0] == "suppressed leader, 5 frames, 0.5 m each"]
     assert len(ours) == sum(case == "leader" for case, *_ in PUBLISHED)
     assert ours[0][2:4] == ["40", "30 (of 30: 40, 30, 20)"]
 
@@ -84,10 +84,10 @@ def test_a_study_without_trials_has_empty_tables() -> None:
 def test_the_presets_pair_each_attack_with_a_twin() -> None:
     study = definition.load("posepert")
     cells = set(study.factors.values())
-    assert len(cells) == 24
+    assert len(cells) == 28
     assert {cell["defence"] for cell in cells} == {"", "Cad", "Made", "PoseGuard"}
-    assert all(cell.but(frames=0) in cells for cell in cells)
-    assert len(definition.load("posepert", ["preset=quick"]).factors) == 12
+    assert all(cell.but(frames=0, step_m=0.0) in cells for cell in cells)
+    assert len(definition.load("posepert", ["preset=quick"]).factors) == 14
 
 
 @pytest.mark.heavy
@@ -98,6 +98,9 @@ def test_a_shared_vehicle_is_perceived_aside(tmp_path: Path) -> None:
     )
     with (finished.path / "posepert.csv").open() as file:
         rows = {(row["attack"], row["measure"]): float(row["value"]) for row in csv.DictReader(file)}
-    assert 0.1 < rows["phantom cut-in, 40 frames", "shift_m"] <= 1.2
-    assert rows["phantom cut-in, 40 frames", "alarms"] > rows["phantom cut-in, 40 frames", "false_alarms"]
+    assert 0.1 < rows["phantom cut-in, 40 frames, 0.5 m each", "shift_m"] <= 1.2
+    assert (
+        rows["phantom cut-in, 40 frames, 0.5 m each", "alarms"]
+        > rows["phantom cut-in, 40 frames, 0.5 m each", "false_alarms"]
+    )
     assert (finished.path / "posepert.png").is_file()
