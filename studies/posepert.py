@@ -11,8 +11,8 @@ from mast_zenoh.study.choices import resolve_choice, with_preset, words
 from mast_zenoh.study.defences.pose_perturbation import PosePerturbation
 
 #: s of scene time at which the attack begins; frames for which it lasts, and m by which the shift grows in each. In a
-#: cut-in, it begins after 0.8 s; behind a leader, 35 m before it (here 30 to 40 m), and 400 frames are to the end of the
-#: run. Theirs chooses 0 to 0.5 m in each frame.
+#: cut-in, it begins after 0.8 s; behind a leader, 35 m before it (here 30 to 40 m), and 400 frames are to the end of
+#: the run. Theirs chooses 0 to 0.5 m in each frame.
 CASES = dict(
     cut_in=(2.8, ((5, 0.5), (5, 0.2), (40, 0.5))),
     leader=(2.75, ((40, 0.5), (400, 0.5))),

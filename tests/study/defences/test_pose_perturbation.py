@@ -30,7 +30,7 @@ def trial(label: str, seed: int, kmh: float, ttc_s: float | None, shift_m: float
         "shift_m": [0.1] * 20 + [0.1 + shift_m + 0.01 * seed] * 39 + [None],
         "alarm": [False] * 20 + [alarm] * 40,
     }
-    driven = {"ego": {"collisions": [{}] * hits, "min_ttc_s": ttc_s}}
+    driven: dict[str, Any] = {"ego": {"collisions": [{}] * hits, "min_ttc_s": ttc_s}}
     return outcome(label, "road", seed, {"defence": part, "driven": driven})
 
 
