@@ -1,5 +1,7 @@
 """The road of PosePert's closed loop: what is where, and an ego that can be driven."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -25,7 +27,9 @@ def test_without_commands_it_is_the_prepared_road_bit_by_bit(case: str) -> None:
     ("case", "ahead_m", "behind_m", "aside_m", "speed"),
     [("cut_in", 16.0, 8.0, 3.5, 2.5), ("leader", 45.0, None, 1.0, 0.0)],
 )
-def test_the_vehicle_is_where_the_case_says_when_it_begins(case, ahead_m, behind_m, aside_m, speed):
+def test_the_vehicle_is_where_the_case_says_when_it_begins(
+    case: Any, ahead_m: float, behind_m: float | None, aside_m: float, speed: float
+) -> None:
     places = []
     for seed in range(12):
         world = StraightRoad(case=case).world(seed, None)
