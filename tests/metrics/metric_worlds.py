@@ -103,6 +103,7 @@ def effects(*rows: Row, passages: Sequence[InterposedWire] = (), of: Sequence[in
         whole=np.zeros(n, bool),
         **dict.fromkeys(("frames_late", "time_ns"), np.zeros(n, np.int64)),
         columns=np.array([""] * n, object),
+        points=np.zeros(n, np.int64),
     )
 
 

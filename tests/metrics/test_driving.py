@@ -82,8 +82,8 @@ def test_objects_that_touch_the_path_with_its_width_are_in_the_corridor(radius, 
     corridor = way.buffer(WIDTH / 2 + margin, cap_style="flat")
     doubt = corridor.boundary.distance(body) if not corridor.intersects(body) else corridor.intersection(body).area
     gap = forward - (size[0] if turn in (0.0, math.pi) else size[1]) / 2 - LENGTH / 2
-    # A bend of the path beside a long object differs from its tangent.
-    assume(doubt > (0.05 if math.isinf(radius) else 1.0))
+    # A bend of the path beside a long object differs from its tangent, by this area.
+    assume(doubt > max(0.05 if math.isinf(radius) else 1.0, size[0] ** 3 / (24.0 * abs(radius))))
     assume(abs(gap - horizon) > 1.0)
     assume(abs(forward) > 3.0)
     assume(math.hypot(x - where.position[frame, 0], y - where.position[frame, 1]) > 2.5)
