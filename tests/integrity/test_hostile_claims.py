@@ -220,9 +220,10 @@ def test_views_are_limited_in_size_and_all_together() -> None:
     check_view(body)
     with pytest.raises(ValueError, match=f"free.*{MAX_CELLS + 1} directions"):
         check_view(body | {"free": np.ones((1, MAX_CELLS + 1))})
-    columns = collated_columns([body] * 8)
+    whole = MAX_ROWS // MAX_CELLS
+    columns = collated_columns([body] * (whole + 3))
     assert len(columns["free"]) <= MAX_ROWS
-    assert columns["grid"].tolist() == [[1, MAX_CELLS]] * 5 + [[0, 0]] * 3
+    assert columns["grid"].tolist() == [[1, MAX_CELLS]] * whole + [[0, 0]] * 3
 
 
 @pytest.mark.parametrize("judge", [SequentialConsistency, TruthDiscovery])
