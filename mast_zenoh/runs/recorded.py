@@ -16,7 +16,7 @@ from mast_zenoh.metrics.record import Series
 from mast_zenoh.run_folder import read_object
 from mast_zenoh.run_folder.recording.reader import Recorded, file_of, read
 from mast_zenoh.runs.frame import Frame
-from mast_zenoh.runs.routes import CLOCK, TRUTH, routes
+from mast_zenoh.runs.routes import CLOCK, TRUTH, routes, scan_keys
 from mast_zenoh.runs.run import Run
 
 
@@ -49,7 +49,9 @@ def frames_of(run: Run) -> Iterator[Frame]:
     Raises RunFolderError if there is none.
     """
     count = dropped = without_truth = 0
-    series_by_key = [(frame, routes(wiring, run.agents)) for frame, wiring in run.files.wirings]
+    series_by_key = [
+        (frame, routes(wiring, run.agents) | scan_keys(wiring, run.agents)) for frame, wiring in run.files.wirings
+    ]
     for (time_ns, index), group in groupby(read(run.path), key=lambda message: (message.time_ns, message.frame)):
         bodies, refused = _first_valid(list(group), series_by_key)
         dropped += refused

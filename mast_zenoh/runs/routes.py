@@ -13,6 +13,8 @@ from mast_zenoh.wiring.model import Wire, Wiring
 TRUTH, CLOCK = Series("", "truth"), Series("", "clock")
 #: Names of the series of an agent's poses, and of the trust that a centre or a peer has.
 POSE, TRUST = "pose", "trust"
+#: Name of the series of the scans of an agent's lidar, if they were recorded.
+POINTS = "points"
 
 
 def routes(wiring: Wiring, agents: Sequence[str]) -> dict[str, list[Series]]:
@@ -34,6 +36,12 @@ def topics(wiring: Wiring, agents: Sequence[str]) -> dict[Series, str]:
             ending = {RECEIVED: "/received", PICTURE_RECEIVED: f"/received/{series.agent}"}.get(series.estimator, "")
             names[series] = wire.key + ending
     return names
+
+
+def scan_keys(wiring: Wiring, agents: Sequence[str]) -> dict[str, list[Series]]:
+    """The series of each key on which the scans of an agent's lidar arrive, after all interposers."""
+    wires = (wire for wire in wiring.wires if wire.message == POINTS and wire.subject in agents)
+    return {wire.last_legs[0].key: [Series(wire.subject, POINTS)] for wire in wires if wire.last_legs}
 
 
 def in_order(series: Mapping[Series, str], agents: Sequence[str]) -> dict[Series, str]:

@@ -88,7 +88,12 @@ def transforms_of(agent: str, pose: AgentPose, camera: Camera) -> Iterator[tuple
     """(parent, child, position (3,) m, quaternion (4,) x y z w) of an agent and of its camera's optical frame."""
     mount = camera.mount_position, camera.mount_rotation @ AXES.T
     for parent, child, place in ((WORLD, agent, pose), (agent, f"{agent}/camera", mount)):
-        yield parent, child, place[0], np.roll(quaternion_from_rotation(place[1]), -1)
+        yield parent, child, place[0], scalar_last(place[1])
+
+
+def scalar_last(rotation: Floats) -> Floats:
+    """The quaternion (4,) x y z w of a rotation (3, 3)."""
+    return np.roll(quaternion_from_rotation(rotation), -1)
 
 
 def cameras(run: Run) -> dict[str, Camera]:

@@ -26,6 +26,7 @@ from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.recorded import frames_of
 from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.runs.run import Run
+from mast_zenoh.runs.scans import CLOUD, LidarScan, scanned_agents, scans_in
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import Camera
 from mast_zenoh.show.export import columns
@@ -95,6 +96,23 @@ def _entity(run: Run, time_ns: int, number: int, **parts: Any) -> fox.SceneEntit
 
 def _points(rows: Floats) -> list[fox.Point3]:
     return [fox.Point3(x=x, y=y, z=z) for x, y, z in rows.tolist()]
+
+
+def point_cloud(time_ns: int, frame_id: str, scan: LidarScan) -> fox.PointCloud:
+    """A scan. frame_id: of the lidar"""
+    kinds = {"<f4": fox.PackedElementFieldNumericType.Float32, "<u2": fox.PackedElementFieldNumericType.Uint16}
+    columns_of_point = [
+        fox.PackedElementField(name=name, offset=offset, type=kinds[dtype.str])
+        for name, (dtype, offset, *_) in (CLOUD.fields or {}).items()
+    ]
+    return fox.PointCloud(
+        timestamp=timestamp_of(time_ns),
+        frame_id=frame_id,
+        pose=_pose(np.zeros(3)),
+        point_stride=CLOUD.itemsize,
+        fields=columns_of_point,
+        data=scan.cloud().tobytes(),
+    )
 
 
 def blank_image(camera: Camera) -> bytes:
@@ -172,6 +190,9 @@ class RunChannels:
         self.calibrations = {
             agent: channels.CameraCalibrationChannel(camera_topic(agent), context=context) for agent in run.agents
         }
+        self.points = {
+            agent: channels.PointCloudChannel(points_topic(agent), context=context) for agent in scanned_agents(run)
+        }
         self.image = channels.CompressedImageChannel(image_topic(run.agents[0]), context=context)
         self.blank = blank_image(self.cameras[run.agents[0]])
         self.scores = {
@@ -239,6 +260,11 @@ class RunChannels:
             if agent == self.run.agents[0]:
                 image = fox.CompressedImage(timestamp=time, frame_id=f"{agent}/camera", data=self.blank, format="png")
                 self.image.log(image, log_time=frame.time_ns)
+        for agent, scan in scans_in(frame).items():
+            add(agent, f"{agent}/lidar", scan.position, quaternion(columns.scalar_last(scan.rotation)))
+            if agent in self.points:
+                cloud = point_cloud(frame.time_ns, f"{agent}/lidar", scan)
+                self.points[agent].log(cloud, log_time=frame.time_ns)
         self.transforms.log(fox.FrameTransforms(transforms=transforms), log_time=frame.time_ns)
 
     def _changes(self, frame: Frame) -> None:
@@ -279,6 +305,11 @@ def image_topic(agent: str) -> str:
     return f"{camera_topic(agent)}/image"
 
 
+def points_topic(agent: str) -> str:
+    """The topic of the scans of an agent's lidar."""
+    return f"/agent/{agent}/points"
+
+
 _FROM_ABOVE, _CAMERA, _FALSE, _MISSED_PLOT, _LOG = (
     "3D!objects",
     "Image!camera",
@@ -293,6 +324,7 @@ def layout(run: Run) -> dict[str, Any]:
     shown = {topic: series.estimator in (PICTURE, TRUTH.estimator) for series, topic in object_topics(run).items()}
     shown |= {topic: series.estimator == PICTURE for series, topic in missed_topics(run).items()}
     shown |= {BUILDINGS: True, CHANGES: True}
+    shown |= {points_topic(agent): agent == run.agents[0] for agent in scanned_agents(run)}
     main = run.agents[0]
     scene = scene_of(shown)
     panels: dict[str, Any] = {

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TextIO
 
@@ -19,6 +20,7 @@ from mast_zenoh.runs.frame import AgentPose, Frame
 from mast_zenoh.runs.recorded import frames_of
 from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.runs.run import Run
+from mast_zenoh.runs.scans import LidarScan, scans_in
 from mast_zenoh.scenes.recording import SEEN_RETURNS
 from mast_zenoh.sensing import Camera, LidarSensor
 from mast_zenoh.show.export.columns import AXES, cameras, class_names, stem
@@ -37,7 +39,7 @@ _EDGES = np.array([[k, k // 4 * 4 + (k + 1) % 4] for k in range(8)] + [[k, k + 4
 def write(run: Run, path: Path) -> None:
     """Write label_02, calib and oxts of one sequence, and trackers/ESTIMATE/data, with what the camera sees.
 
-    It is the main agent's camera; it sees a box if a part of it is in the image. A frame without a pose of that agent
+    Scans of the main agent's lidar, if they were recorded, are in velodyne. The camera is the main agent's; it sees a box if a part of it is in the image. A frame without a pose of that agent
     has no labels.
     """
     for name in ("label_02", "calib", "oxts"):
@@ -47,8 +49,7 @@ def write(run: Run, path: Path) -> None:
     for file in files.values():
         file.parent.mkdir(parents=True, exist_ok=True)
     main = run.agents[0]
-    camera = cameras(run)[main]
-    (path / "calib" / f"{SEQUENCE}.txt").write_text(_calibration(camera, _lidar(run)), encoding="ascii")
+    camera, lidar = cameras(run)[main], _lidar(run)
     poses: dict[int, AgentPose] = {}
     without_pose = 0
     with ExitStack() as stack:
@@ -58,13 +59,23 @@ def write(run: Run, path: Path) -> None:
                 without_pose += 1
                 continue
             poses[frame.index] = frame.poses[run.agents[0]]
+            if (scan := scans_in(frame).get(main)) is not None:
+                lidar = replace(lidar, mount_position=scan.position, mount_rotation=scan.rotation)
+                _write_scan(path / "velodyne" / SEQUENCE / f"{frame.index:06d}.bin", scan)
             for series, states in frame.objects.items():
                 _write_objects(opened[series], run, frame, series, states, camera)
+    (path / "calib" / f"{SEQUENCE}.txt").write_text(_calibration(camera, lidar), encoding="ascii")
     if without_pose:
         run.files.note(f"messages.mcap: frames without a pose of {main}, and therefore without labels: {without_pose}")
     (path / "oxts" / f"{SEQUENCE}.txt").write_text("".join(_positions(poses, run.origin)), encoding="ascii")
     last = max(poses, default=-1)
     (path / "evaluate_tracking.seqmap.training").write_text(f"{SEQUENCE} empty 000000 {last + 1:06d}\n", "ascii")
+
+
+def _write_scan(path: Path, scan: LidarScan) -> None:
+    """Write x y z, m, in the lidar's frame, and the intensity of each point: float32."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.column_stack([scan.points.position, scan.points.intensity]).astype("<f4").tofile(path)
 
 
 def _lidar(run: Run) -> LidarSensor:

@@ -20,6 +20,7 @@ from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.recorded import frames_of
 from mast_zenoh.runs.routes import TRUTH
 from mast_zenoh.runs.run import Run
+from mast_zenoh.runs.scans import scans_in
 from mast_zenoh.show.export.columns import cameras, class_names, colours, missed, wall_lines
 from mast_zenoh.show.palette import ADVERSARY, BUILDING_EDGE, GROUND, OUTCOME_COLOURS, rgb
 
@@ -44,7 +45,7 @@ def write(run: Run, path: Path) -> None:
 
 
 def pose_entity(agent: str) -> str:
-    """The entity with an agent's pose; nothing but its camera is below it, as everything else is in the world frame."""
+    """The entity with an agent's pose; only its camera and its lidar are below it, as all else is in the world frame."""
     return f"agent/{agent}/pose"
 
 
@@ -78,6 +79,11 @@ def write_frame(run: Run, frame: Frame, stream: rerun.RecordingStream) -> None:
     for agent, pose in frame.poses.items():
         place = rerun.Transform3D(translation=pose.position - run.origin, mat3x3=pose.rotation)
         stream.log(pose_entity(agent), place)
+    for agent, scan in scans_in(frame).items():
+        entity = f"{pose_entity(agent)}/lidar"
+        stream.log(entity, rerun.Transform3D(translation=scan.position, mat3x3=scan.rotation))
+        grey = np.clip(80.0 + 500.0 * scan.points.intensity, 0.0, 255.0).astype(np.uint8)
+        stream.log(f"{entity}/points", rerun.Points3D(scan.points.position, colors=np.stack([grey] * 3, axis=1)))
     for series in run.topics:
         if series not in frame.objects:
             stream.log(run.topics[series], rerun.Clear(recursive=False))

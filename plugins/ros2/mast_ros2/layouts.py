@@ -64,6 +64,10 @@ def rviz_layout(messages: RunMessages) -> dict[str, Any]:
         _display("rviz_default_plugins/Odometry", topic, visible=False, Keep=1, Shape={"Value": "Axes"})
         for topic in messages.odometry.values()
     ]
+    of_lidars = [
+        _display("rviz_default_plugins/PointCloud2", topic, visible=agent == messages.run.agents[0])
+        for agent, topic in messages.points.items()
+    ]
     (x, y), distance = view_of(messages.run)
     return {
         "Panels": [
@@ -93,6 +97,7 @@ def rviz_layout(messages: RunMessages) -> dict[str, Any]:
                 },
                 *of_objects,
                 *of_agents,
+                *of_lidars,
             ],
             "Enabled": True,
             "Global Options": {"Background Color": _colour(GROUND), "Fixed Frame": MAP, "Frame Rate": 30},

@@ -18,7 +18,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from mast_ros2 import type_store
 from mast_ros2.object_messages import detection_array, marker_array, predicted_objects, tracked_objects
-from mast_ros2.spatial import Transform, clock, header, odometry, transform_message
+from mast_ros2.spatial import Transform, clock, header, odometry, point_cloud, transform_message
 from mast_ros2.type_store import TYPES, RosMessage
 from mast_zenoh.arrays.geometry import quaternion_from_rotation
 from mast_zenoh.arrays.states import Floats, ObjectStates
@@ -29,6 +29,7 @@ from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.recorded import frames_of
 from mast_zenoh.runs.routes import POSE, TRUST
 from mast_zenoh.runs.run import Run
+from mast_zenoh.runs.scans import scanned_agents, scans_in
 from mast_zenoh.show.export.columns import AXES, WORLD, cameras, colours
 
 #: The root of all frames of reference, which RViz expects: at the run's origin, as RViz has 32 bits for a coordinate.
@@ -65,7 +66,7 @@ class RunMessages:
         where their agents are
 
     topics: all of them
-    objects: by series, the topic of its detections;  odometry: by agent, its topic
+    objects: by series, the topic of its detections;  odometry: by agent, its topic;  points: by agent whose scans were recorded, their topic
     """
 
     def __init__(self, run: Run, namespace: str = "/", partners: Mapping[str, Mapping[str, Any]] | None = None) -> None:
@@ -75,6 +76,9 @@ class RunMessages:
         names = _Names(namespace)
         self.objects: Mapping[Series, str] = {series: names.of(key) for series, key in run.topics.items()}
         self.odometry: Mapping[str, str] = {agent: names.of(f"agent/{agent}/odometry") for agent in run.agents}
+        self.points: Mapping[str, str] = {agent: names.of(f"agent/{agent}/points") for agent in scanned_agents(run)}
+        scene = run.files.scene
+        self._lidars = {agent.name: agent.sensors[0].name for agent in scene.agents} if scene is not None else {}
         judged = any(wire.message == TRUST for _, wiring in run.files.wirings for wire in wiring.wires)
         self.topics = (
             *([Topic(CLOCK, type_store.CLOCK)] if self._sends_clock else []),
@@ -82,6 +86,7 @@ class RunMessages:
             Topic(MOUNTS, type_store.TF_MESSAGE, transient_local=True),
             *(Topic(topic, type_store.ODOMETRY) for topic in self.odometry.values()),
             *(Topic(name + ending, kind) for name in self.objects.values() for ending, kind in _TYPES.items()),
+            *(Topic(topic, type_store.POINT_CLOUD) for topic in self.points.values()),
             *([Topic(DIAGNOSTICS, type_store.DIAGNOSTIC_ARRAY)] if judged else []),
         )
 
@@ -103,6 +108,9 @@ class RunMessages:
             body = frame.bodies.get(Series(agent, POSE))
             if body is not None and wanted(topic):
                 yield topic, odometry(body, time_ns, WORLD, agent)
+        for agent, scan in scans_in(frame).items() if self.points else ():
+            if agent in self.points and wanted(self.points[agent]):
+                yield self.points[agent], point_cloud(scan, time_ns, f"{agent}/{self._lidars.get(agent, 'lidar')}")
         for series, topic in self.objects.items():
             yield from self._objects(frame, series, topic, wanted)
         for series, body in frame.bodies.items():

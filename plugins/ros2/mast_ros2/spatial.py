@@ -3,7 +3,7 @@
 A pose has 36 covariances, rows of x y z roll pitch yaw; a twist those of velocities and rates of rotation. Our objects
 have variances of neither angles nor rates: they are 0 in what is written, and not read.
 
-Poses as TFMessage and Odometry, and times as Clock.
+Poses as TFMessage and Odometry, times as Clock, and scans of lidars as PointCloud2.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.states import Bools, Floats
 from mast_zenoh.errors import MessageError
 from mast_zenoh.messages.schemas import Body
+from mast_zenoh.runs.scans import CLOUD, LidarScan
 
 #: Largest absolute value of a coordinate that is read, m: maps in UTM coordinates are within.
 MOST_METRES = 1e7
@@ -165,3 +166,21 @@ def odometry(pose: Body, time_ns: int, frame_id: str, child_frame_id: str) -> Ro
 def clock(time_ns: int) -> RosMessage:
     """A Clock, for nodes with `use_sim_time`; raises ValueError for a time that ROS cannot express."""
     return TYPES[type_store.CLOCK](stamp(time_ns))
+
+
+#: Of PointField: numbers of the types of values.
+POINT_TYPES = {"<f4": 7, "<u2": 4}
+
+
+def point_cloud(scan: LidarScan, time_ns: int, frame_id: str) -> RosMessage:
+    """The PointCloud2 of a scan: x y z, intensity, t (s, from the time of the scan) and ring.
+
+    frame_id: of the lidar. Raises ValueError for a time that ROS cannot express.
+    """
+    sensors, count = package("sensor_msgs"), len(scan.points)
+    columns = [
+        sensors.PointField(name, offset, POINT_TYPES[kind.str], 1)
+        for name, (kind, offset, *_) in (CLOUD.fields or {}).items()
+    ]
+    data, size = scan.cloud().view(np.uint8).reshape(-1), CLOUD.itemsize
+    return sensors.PointCloud2(header(time_ns, frame_id), 1, count, columns, False, size, size * count, data, True)

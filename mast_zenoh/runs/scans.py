@@ -1,0 +1,70 @@
+"""The recorded scans of the agents' lidars, as the detector received them: of an intercepted wire, what left the last."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.states import Floats
+from mast_zenoh.metrics.record import Series
+from mast_zenoh.runs.frame import Frame
+from mast_zenoh.runs.routes import POINTS, scan_keys
+from mast_zenoh.runs.run import Run
+from mast_zenoh.sensing.points import Points
+
+#: A point as point clouds of other programs have it: m, 0 to 1, s from the time of the scan, and the channel.
+CLOUD = np.dtype(
+    {
+        "names": ["x", "y", "z", "intensity", "t", "ring"],
+        "formats": ["<f4", "<f4", "<f4", "<f4", "<f4", "<u2"],
+        "offsets": [0, 4, 8, 12, 16, 20],
+        "itemsize": 24,
+    }
+)
+
+
+class LidarScan(NamedTuple):
+    """One scan of an agent's lidar.
+
+    points:   in the lidar's frame
+    position: (3,) m, of the lidar in the agent's frame;  rotation: (3, 3) active, lidar to agent
+    """
+
+    points: Points
+    position: Floats
+    rotation: Floats
+
+    def cloud(self) -> NDArray[np.void]:
+        """(n,) of CLOUD."""
+        result = np.zeros(len(self.points), CLOUD)
+        for axis, values in zip("xyz", self.points.position.T, strict=True):
+            result[axis] = values
+        for name, column in (("intensity", "intensity"), ("t", "time_s"), ("ring", "channel")):
+            result[name] = getattr(self.points, column)
+        return result
+
+
+def scanned_agents(run: Run) -> tuple[str, ...]:
+    """The agents of a finished run whose scans were recorded."""
+    recorder = run.node_spec("recorder").get("config")
+    if run.files.is_live or not isinstance(recorder, dict) or recorder.get("points") is not True:
+        return ()
+    with_points = {
+        each.agent for _, wiring in run.files.wirings for of in scan_keys(wiring, run.agents).values() for each in of
+    }
+    return tuple(agent for agent in run.agents if agent in with_points)
+
+
+def scans_in(frame: Frame) -> dict[str, LidarScan]:
+    """By agent, its scan in a frame of a recorded run; an agent without one is absent."""
+    bodies = {agent: frame.bodies.get(Series(agent, POINTS)) for agent in frame.run.agents}
+    return {
+        agent: LidarScan(
+            Points.from_columns(body), body["mount_position"], rotation_from_quaternion(body["mount_rotation"])
+        )
+        for agent, body in bodies.items()
+        if body is not None
+    }
