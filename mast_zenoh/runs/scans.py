@@ -1,4 +1,4 @@
-"""The recorded scans of the agents' lidars, as the detector received them: of an intercepted wire, what left the last."""
+"""The recorded scans of the agents' lidars, as the detector received them: after whatever intercepts their wire."""
 
 from __future__ import annotations
 

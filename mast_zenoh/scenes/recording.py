@@ -24,6 +24,7 @@ from mast_zenoh.run_folder import check_plain, open_plain
 from mast_zenoh.scenes.agents import SceneAgent as SceneAgent
 from mast_zenoh.scenes.agents import agent_from_json, agent_to_json
 from mast_zenoh.scenes.mapped import MappedArray, check_stored, mapped_arrays
+from mast_zenoh.scenes.recorded_scans import SCAN_TYPES, RecordedScans
 
 #: In place of the age of a measurement, in frames without a new one.
 NO_MEASUREMENT = -1
@@ -100,16 +101,25 @@ SHAPES: dict[str, str] = {
     "detections.score": "D",
     "detections.covariance": "D,3,3",
 }
-#: Arrays that only some recordings have; their shapes are checked in `measurements`.
-_OPTIONAL = ("measurements.age_ns", "measurements.position", "measurements.rotation")
+#: Arrays that only some recordings have; their shapes are checked in `measurements` and `scans`.
+_OPTIONAL = ("measurements.age_ns", "measurements.position", "measurements.rotation", *SCAN_TYPES)
 #: Arrays that `Recording.open` reads: times, offsets and buildings.
-_READ_AT_ONCE = ("head", "times_ns", "truth_start", "detection_start", "measurements.age_ns", *_BUILDINGS)
+_READ_AT_ONCE = (
+    "head",
+    "times_ns",
+    "truth_start",
+    "detection_start",
+    "measurements.age_ns",
+    "scans.start",
+    *_BUILDINGS,
+)
 #: Size in bytes from which `Recording.open` leaves the other arrays in their file.
 MAPPED_BYTES = 64 << 20
 #: Types other than float64.
 _TYPES: dict[str, Any] = {
     "points": np.int32,
     "measurements.age_ns": np.int64,
+    **SCAN_TYPES,
     **{name: np.uint8 for name in SHAPES if name.endswith("class_id")},
     **{name: np.int64 for name in SHAPES if name.endswith(("_ns", "_start", "id")) and not name.endswith("class_id")},
 }
@@ -242,6 +252,7 @@ class Recording:
     sweeps:             for each agent (F, bands, sectors) float32, m, of its first sensor, see `sensing.raycast`; ():
                         unknown
     measurements:       when the sensors measured; None: in every frame, at its time
+    scans:              of real lidars; None: the data has none, or they were not asked for
     notes:              what its source left out or assumed, in sentences, for people
     """
 
@@ -263,6 +274,7 @@ class Recording:
     sweeps: tuple[NDArray[np.float32], ...] = ()
     measurements: Measurements | None = None
     notes: tuple[str, ...] = ()
+    scans: RecordedScans | None = None
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -365,6 +377,8 @@ class Recording:
             _check_numbers(self.name, name, getattr(self, name))
         for index, sweep in enumerate(self.sweeps):
             _check_numbers(self.name, f"sweeps.{index}", sweep)
+        for name in ("position", "intensity", "time_s") if self.scans is not None else ():
+            _check_numbers(self.name, f"scans.{name}", getattr(self.scans.points, name))
         for frame in range(len(self)):
             self._check_ids(frame, self.truth_at(frame).id)
 
@@ -386,6 +400,8 @@ class Recording:
         check_times(self.name, self.times_ns)
         if self.measurements is not None:
             self.measurements.check(self.name, self.times_ns, self.sensor_names)
+        for problem in self.scans.problems(f, a) if self.scans is not None else ():
+            raise SceneError(f"{self.name}: {problem}")
         for name, start, rows in (("truth", self.truth_start, n), ("detections", self.detection_start, d)):
             if start[0] != 0 or start[-1] != rows or np.any(np.diff(start) < 0):
                 raise SceneError(f"{self.name}: the offsets of {name} do not cover its {rows} rows in order")
@@ -420,6 +436,8 @@ class Recording:
         arrays |= {f"sweeps.{index}": sweep for index, sweep in enumerate(self.sweeps)}
         if self.measurements is not None:
             arrays |= {f"measurements.{name}": values for name, values in self.measurements.arrays().items()}
+        if self.scans is not None:
+            arrays |= self.scans.arrays()
         arrays["building_start"] = np.cumsum([0, *map(len, self.buildings)])
         arrays["building_corners"] = np.concatenate([np.zeros((0, 2)), *self.buildings])
         with path.open("wb") as file:
@@ -479,6 +497,7 @@ class Recording:
             if "measurements.age_ns" in arrays
             else None,
             notes=tuple(map(str, header.get("notes", ()))),
+            scans=RecordedScans.from_arrays(arrays) if "scans.start" in arrays else None,
             **{name: arrays[name] for name in _ARRAYS},
         )
 
@@ -509,7 +528,18 @@ _ARRAYS = tuple(
     field.name
     for field in fields(Recording)
     if field.name
-    not in ("name", "agents", "period_ns", "truth", "detections", "buildings", "sweeps", "measurements", "notes")
+    not in (
+        "name",
+        "agents",
+        "period_ns",
+        "truth",
+        "detections",
+        "buildings",
+        "sweeps",
+        "measurements",
+        "notes",
+        "scans",
+    )
 )
 _MEASUREMENTS = tuple(field.name for field in fields(Measurements))
 

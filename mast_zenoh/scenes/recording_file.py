@@ -37,6 +37,7 @@ def first_frames(recording: Recording, frames: int | None) -> Recording:
         detection_truth_id=recording.detection_truth_id[detections],
         sweeps=tuple(sweep[:frames] for sweep in recording.sweeps),
         measurements=recording.measurements and recording.measurements.select(slice(frames), slice(None)),
+        scans=recording.scans and recording.scans.select(frames, np.arange(len(recording.agents))),
     )
 
 
@@ -93,6 +94,7 @@ def _with_agents(recording: Recording, rows: Ints) -> Recording:
         detection_truth_id=recording.detection_truth_id[kept],
         sweeps=tuple(recording.sweeps[row] for row in rows) if recording.sweeps else (),
         measurements=recording.measurements and recording.measurements.select(slice(None), columns),
+        scans=recording.scans and recording.scans.select(frames, rows),
     )
 
 

@@ -1,4 +1,7 @@
-"""Scans a scene's lidars, frame by frame: their points, and how many of these each object returned."""
+"""Scans a scene's lidars, frame by frame: their points, and how many of these each object returned.
+
+Where a data set recorded the points of a lidar, they are taken from there: nothing that receives them can tell.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.geometry import heading, quaternion_from_rotation, rotation_from_yaw, wrap_angle
+from mast_zenoh.arrays.geometry import (
+    heading,
+    quaternion_from_rotation,
+    rotation_from_yaw,
+    to_local,
+    to_world,
+    wrap_angle,
+)
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.scenes.agents import best_pattern
@@ -19,6 +29,7 @@ from mast_zenoh.sensing import Walls, sensor_pose
 from mast_zenoh.sensing.beams import MODELS, Beams
 from mast_zenoh.sensing.clutter import Clutter
 from mast_zenoh.sensing.point_detector import PointDetector, detected
+from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.returns import REFLECTIVITY, Returns
 from mast_zenoh.sensing.scan import Moving, cast
 from mast_zenoh.sensing.shapes import Parts
@@ -34,7 +45,8 @@ _NEAR_M = 50.0
 class ScannedPoints:
     """How the lidars of a scene are scanned.
 
-    lidar:   a model, see `sensing.beams.MODELS`, or models by agent or pattern ("infra_*"); None: the agents' own
+    lidar:   a model, see `sensing.beams.MODELS`, or models by agent or pattern ("infra_*"); None: the agents' own, or
+             the points that the scene's data recorded
     returns: what a lidar measures of what its beams meet
     clutter: still objects beside the roads, which are not in the scene's truth; None: none
     moving:  whether lidars and objects move during a scan
@@ -100,6 +112,7 @@ class Scanner:
         self._detectors = [copy.deepcopy(points.detector) for _ in recording.agents]
         self._period_s = recording.period_ns * 1e-9
         self._beams = [self._beams_of(agent) for agent in recording.agents]
+        self._recorded = recording.scans
         clutter = points.clutter or Clutter(hedges=0, kerbs=0, signs=0, poles=0)
         self._still = clutter.place(
             *_occupied(recording),
@@ -114,6 +127,11 @@ class Scanner:
     def _beams_of(self, agent: SceneAgent) -> Beams:
         model, period_s = self._points.model_of(agent.name), self._period_s if self._points.moving else 0.0
         return Beams.of_sensor(agent.sensor, period_s) if model is None else MODELS[model].beams(period_s)
+
+    def _recorded_scan(self, frame: int, row: int) -> Points | None:
+        """What the data has of an agent's lidar in a frame; None: it is simulated."""
+        scans, is_other = self._recorded, self._points.model_of(self._agents[row].name) is not None
+        return None if scans is None or is_other or not scans.recorded[row] else scans.at(frame, row)
 
     def publish(
         self,
@@ -166,6 +184,16 @@ class Scanner:
         reflectivity = np.concatenate([REFLECTIVITY[truth.class_id], still.reflectivity])
         for row, (agent, (at, active)) in enumerate(zip(self._agents, poses, strict=True)):
             level = rotation_from_yaw(-float(facing[row])) @ active
+            frames = {
+                "mount_position": agent.sensor.mount_position,
+                "mount_rotation": quaternion_from_rotation(agent.sensor.mount_rotation),
+                "level_rotation": quaternion_from_rotation(level),
+            }
+            if (points := self._recorded_scan(frame, row)) is not None:
+                others = np.append(np.where(truth.id == agent.object_id, -1, np.arange(len(truth))), -1)
+                of_objects = others[_object_of(to_world(points.position.astype(np.float64), at, active), truth)]
+                yield points.columns() | frames, of_objects[of_objects >= 0]
+                continue
             moves = agent.kind == "mobile"
             lidar = Moving(
                 at[None],
@@ -179,12 +207,16 @@ class Scanner:
             scan = cast(beams, lidar, level, everything, parts, _ground_m(truth, at), self._walls, row_of_own)
             random = stream(self._seed, "points", agent.name, frame)
             points, source = self._points.returns.measure(scan, beams, lidar, level, reflectivity, random)
-            frames = {
-                "mount_position": agent.sensor.mount_position,
-                "mount_rotation": quaternion_from_rotation(agent.sensor.mount_rotation),
-                "level_rotation": quaternion_from_rotation(level),
-            }
             yield points.columns() | frames, source[(source >= 0) & (source < len(truth))]
+
+
+def _object_of(points: Floats, truth: ObjectStates) -> Ints:
+    """(n,) the row of the object whose box each point (n, 3) m is in, the last one of several; -1: none. World frame"""
+    rows = np.full(len(points), -1)
+    for row in range(len(truth)):
+        offset = np.abs(to_local(points, truth.position[row], rotation_from_yaw(float(truth.yaw[row]))))
+        rows[(offset <= truth.size[row] / 2.0).all(axis=1)] = row
+    return rows
 
 
 def _ground_m(truth: ObjectStates, at: Floats | None = None) -> float:

@@ -45,7 +45,7 @@ def write(run: Run, path: Path) -> None:
 
 
 def pose_entity(agent: str) -> str:
-    """The entity with an agent's pose; only its camera and its lidar are below it, as all else is in the world frame."""
+    """The entity with an agent's pose; only its camera and lidar are below it, as all else is in the world frame."""
     return f"agent/{agent}/pose"
 
 

@@ -15,11 +15,13 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from mast_datasets.files import Angle, Coordinate, Count, Element, Side, choose_name, orthonormal, read_lines
+from mast_datasets.point_files import read_bin
 from mast_datasets.traffic import TrafficScene, boxes_of, choose_frames, classes_of, listed_returns
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
+from mast_zenoh.scenes.recorded_scans import RecordedScans
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
 
@@ -165,6 +167,7 @@ def _rows(path: Path, max_bytes: int = _MAX_BYTES) -> Iterator[tuple[int, list[s
 
 _PERIOD_NS = 100_000_000  # the benchmark has no times; its sensors run at 10 Hz
 _FILES = ("label_02", "calib", "oxts")
+_SCANS = "velodyne"
 _MAX_OCCLUSION = 1  # partly occluded; more than that is left to ray casting
 
 #: The recording car, a VW Passat (B6) estate: approximate size, and where its middle is ahead of the IMU.
@@ -182,6 +185,7 @@ class KittiTracking(TrafficScene):
     sequence:         name of the sequence, such as "0004"; None: the only one
     first_frame:      of the sequence that is used
     last_frame:       of the sequence that is used, itself included; None: the last
+    recorded_points:  whether the ego's points, of velodyne, are read: a scenario with `points` detects objects in them
 
     Labels are in the axes of the rectified camera (x right, y down, z ahead), at the middle of the underside, with the
     rotation about the downward axis ("readme" of the tracking development kit). They are converted by the calibration
@@ -197,10 +201,11 @@ class KittiTracking(TrafficScene):
     sequence: str | None = None
     first_frame: int = 0
     last_frame: int | None = None
+    recorded_points: bool = False
 
     def inputs(self) -> Sequence[Path]:
-        """The folders of labels, calibrations and positions."""
-        return tuple(self.root / name for name in _FILES)
+        """The folders of labels, calibrations and positions, and of scans."""
+        return tuple(self.root / name for name in (*_FILES, _SCANS)[: None if self.recorded_points else -1])
 
     def record(self, seed: int, frames: int | None) -> Recording:
         labels_file, calibration_file, poses_file = self._find()
@@ -222,7 +227,15 @@ class KittiTracking(TrafficScene):
         ego = replace(ego, points=listed_returns(boxes, ego, visible, ~visible, frames))
         paths, times_ns = self.agents(boxes, ego, labels_file), np.arange(count) * _PERIOD_NS
         name = f"kitti-{labels_file.stem}"
-        return assemble(name, times_ns, boxes, paths, self.detector, seed=seed, frames=frames)
+        recording = assemble(name, times_ns, boxes, paths, self.detector, seed=seed, frames=frames)
+        if not self.recorded_points:
+            return recording
+        folder = self.root / _SCANS / labels_file.stem
+        if not folder.is_dir():
+            raise SceneError(f"{folder}: no such folder, expected a file of points for each frame, such as 000000.bin")
+        scans = (read_bin(folder / f"{window.start + frame:06d}.bin") for frame in range(len(recording)))
+        kept = RecordedScans.of(folder, len(recording), len(recording.agents), {0: scans})
+        return replace(recording, scans=kept)
 
     def _find(self) -> list[Path]:
         """Files of labels, calibration and positions of the sequence."""
