@@ -104,15 +104,8 @@ SHAPES: dict[str, str] = {
 #: Arrays that only some recordings have; their shapes are checked in `measurements` and `scans`.
 _OPTIONAL = ("measurements.age_ns", "measurements.position", "measurements.rotation", *SCAN_TYPES)
 #: Arrays that `Recording.open` reads: times, offsets and buildings.
-_READ_AT_ONCE = (
-    "head",
-    "times_ns",
-    "truth_start",
-    "detection_start",
-    "measurements.age_ns",
-    "scans.start",
-    *_BUILDINGS,
-)
+_OFFSETS = ("truth_start", "detection_start", "scans.start")
+_READ_AT_ONCE = ("head", "times_ns", "measurements.age_ns", *_OFFSETS, *_BUILDINGS)
 #: Size in bytes from which `Recording.open` leaves the other arrays in their file.
 MAPPED_BYTES = 64 << 20
 #: Types other than float64.

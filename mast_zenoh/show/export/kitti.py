@@ -39,8 +39,8 @@ _EDGES = np.array([[k, k // 4 * 4 + (k + 1) % 4] for k in range(8)] + [[k, k + 4
 def write(run: Run, path: Path) -> None:
     """Write label_02, calib and oxts of one sequence, and trackers/ESTIMATE/data, with what the camera sees.
 
-    Scans of the main agent's lidar, if they were recorded, are in velodyne. The camera is the main agent's; it sees a box if a part of it is in the image. A frame without a pose of that agent
-    has no labels.
+    Scans of the main agent's lidar, if they were recorded, are in velodyne. The camera is the main agent's; it sees a
+    box if a part of it is in the image. A frame without a pose of that agent has neither labels nor a scan.
     """
     for name in ("label_02", "calib", "oxts"):
         (path / name).mkdir(parents=True)

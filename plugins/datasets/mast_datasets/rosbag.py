@@ -142,6 +142,20 @@ class Paths(_MapEntry):
         }
 
 
+class PointsEntry(TopicSource, kw_only=True):
+    """The points of a lidar, in its frame.
+
+    frame: of the messages;  most_intensity: in the messages, of a surface that reflects all light to the lidar
+    """
+
+    frame: _Text
+    most_intensity: Annotated[float, Meta(gt=0, le=1e9)] = 255.0
+
+    def __post_init__(self) -> None:
+        if not self.topic or self.child or self.origin is not None:
+            raise ValueError("points: expected a topic, no child and no origin: they are in the frame of the lidar")
+
+
 class DetectionsEntry(PoseEntry, kw_only=True):
     """A sensor of an agent, its mount, and the topic of its detections; without one, the detector makes them.
 
@@ -150,6 +164,7 @@ class DetectionsEntry(PoseEntry, kw_only=True):
     axes:      what is x forward, y left and z up in the messages
     size:      m, instead of that in the messages
     classes:   our classes by the names of the messages
+    points:    of a lidar, the topic with its points
     """
 
     frame: Annotated[str, Meta(max_length=1000)] = ""
@@ -164,6 +179,7 @@ class DetectionsEntry(PoseEntry, kw_only=True):
     size: Size | None = None
     classes: dict[str, _Class] = {}
     fields: Paths | None = None
+    points: PointsEntry | None = None
 
     @cached_property
     def sensor(self) -> SceneSensor:
@@ -211,6 +227,9 @@ class AgentEntry(_MapEntry, kw_only=True):
         names = [entry.sensor.name for entry in self.sensors]
         if not 0 < len(set(names)) == len(names):
             raise ValueError(f"detections: expected different names of sensors, found {', '.join(names) or 'none'}")
+        for row, entry in enumerate(self.sensors):
+            if entry.points is not None and (row or entry.kind != "lidar" or entry.topic):
+                raise ValueError("points: expected them of the first sensor, a lidar without a topic of detections")
         if self.fixed and self.body is not None:
             raise ValueError("expected no body of an agent that never moves")
 
@@ -243,6 +262,8 @@ class BagMap(_MapEntry, kw_only=True):
         for name, agent in self.agents.items():
             found[agent.pose] = f"agents.{name}.pose"
             found |= dict.fromkeys(agent.sensors, f"agents.{name}.detections")
+            scans = [sensor.points for sensor in agent.sensors if sensor.points is not None]
+            found |= dict.fromkeys(scans, f"agents.{name}.detections.points")
         found |= {entry: f"truth.{name}" for name, entry in self.truth.items()}
         return {source: place for source, place in found.items() if source.topic}
 
@@ -329,7 +350,12 @@ class RosBag(DataSetScene):
                 )
             bag_map = parse_map(self.topics, place) if isinstance(self.topics, Mapping) else read_map(place)
             readers = rosbag_reading.read_topics(bag, bag_map, place)
-        return rosbag_recording.BagScene(self, path, bag_map, readers).recording(seed, frames)
+        scene = rosbag_recording.BagScene(self, path, bag_map, readers)
+        recording = scene.recording(seed, frames)
+        if not scene.has_points:
+            return recording
+        with rosbag_storage.open_bag(path, self.max_unpacked_mb) as bag:  # again, now that its frames are known
+            return scene.with_points(recording, bag)
 
     def _files(self) -> tuple[Path, Path | None]:
         """The bag, and the file with the map; None: the map is given, or there is none."""

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Connection
 from rosbags.typesys.base import normalize_fieldname
 
-from mast_datasets.rosbag import BagMap, DetectionsEntry, FramePose, TopicSource, TruthEntry
+from mast_datasets.rosbag import BagMap, DetectionsEntry, FramePose, PointsEntry, TopicSource, TruthEntry
+from mast_datasets.rosbag_points import ScanStamp, stamp_of_scan
 from mast_datasets.rosbag_storage import Bag, Decode, Fields, OwnType, known_decoder, parse_definition
 from mast_datasets.traffic import MAX_BOXES
 from mast_zenoh.arrays.geometry import heading, quaternion_from_rotation, rotation_from_quaternion, rotation_from_yaw
@@ -446,7 +447,35 @@ class ObjectReader(TopicReader[TruthEntry]):
         return found
 
 
+class ScanReader(TopicReader[PointsEntry]):
+    """When the scans of a lidar were: of their messages, only the headers are read."""
+
+    def __init__(self, source: PointsEntry, place: str, bag_map: BagMap) -> None:
+        super().__init__(source, place, bag_map)
+        self._times = array("q")
+
+    def decoder(self, bag: str, connection: Connection, types: Fields) -> Decode:
+        self._check_type(connection, (type_store.POINT_CLOUD,))
+        known_decoder(bag, connection)
+        return stamp_of_scan
+
+    @property
+    def used(self) -> int:
+        return len(self._times)
+
+    def _read(self, message: ScanStamp, received_ns: int) -> None:
+        if message.frame_id != self.source.frame:
+            self._fail(f"is in the frame {message.frame_id!r:.80}, expected {self.source.frame!r}", ".frame")
+        self._times.append(self._time(message.time_ns, received_ns))
+
+    def times_ns(self) -> Ints:
+        """(K,) ns, of each message, in the order of the bag."""
+        return np.frombuffer(self._times, np.int64)
+
+
 def _reader(source: TopicSource, place: str, bag_map: BagMap) -> TopicReader[Any]:
+    if isinstance(source, PointsEntry):
+        return ScanReader(source, place, bag_map)
     if isinstance(source, DetectionsEntry):
         return DetectionReader(source, place, bag_map)
     if isinstance(source, TruthEntry) and source.body is None:

@@ -10,24 +10,29 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_datasets.rosbag import AgentEntry, BagMap, Body, FramePose, RosBag, TopicSource
+from mast_datasets.rosbag_points import read_scans
 from mast_datasets.rosbag_reading import (
     DetectionReader,
     ObjectReader,
     PoseReader,
     PosesAt,
     PoseTrack,
+    ScanReader,
     SensorMeasurements,
     TopicReader,
     TrueObject,
 )
+from mast_datasets.rosbag_storage import Bag
 from mast_datasets.traffic import MAX_BOXES
-from mast_zenoh.arrays.geometry import heading, to_world, wrap_angle
+from mast_zenoh.arrays.geometry import heading, to_local, to_world, wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Detections, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.making.sensor_types import SensorSchedule
+from mast_zenoh.scenes.recorded_scans import RecordedScans
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Measurements, Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor, sensor_pose, to_sensor
+from mast_zenoh.sensing.points import Points
 
 _MAX_FRAMES = 200_000
 _LEVEL = 1e-3  # cosine of the tilt of a sensor that looks straight down or up: yaws about its axis say nothing
@@ -57,6 +62,7 @@ class BagScene:
         self._tracks: dict[TopicSource, PoseTrack] = {}
         self._measured: dict[TopicSource, SensorMeasurements] = {}
         self._lists: dict[TopicSource, list[TrueObject]] = {}
+        self._scans: dict[TopicSource, Ints] = {}  # ns, of each message
         notes: dict[str, None] = {}  # one of a topic that several agents are on
         for source, reader in readers.items():
             if isinstance(reader, PoseReader):
@@ -65,6 +71,8 @@ class BagScene:
                 self._measured[source] = reader.measured()
             elif isinstance(reader, ObjectReader):
                 self._lists[source] = reader.objects()
+            elif isinstance(reader, ScanReader):
+                self._scans[source] = reader.times_ns()
             remarks = sorted(reader.remarks.items())
             notes |= {f"{source.topic}: {remark}: {n} in {reader.count} messages": None for remark, n in remarks}
         self.notes = list(notes)
@@ -81,6 +89,46 @@ class BagScene:
         paths = [self._agent_path(name, agent, own_ids.get(name, -1)) for name, agent in self._agents.items()]
         generated = assemble(self._path.name, self._times_ns, boxes, paths, self._detector, seed=seed, frames=frames)
         return replace(self._with_detections(generated), notes=tuple(self.notes))
+
+    @property
+    def has_points(self) -> bool:
+        """Whether agents that play have a topic of points."""
+        return any(agent.sensors[0].points is not None for agent in self._agents.values())
+
+    def with_points(self, recording: Recording, bag: Bag) -> Recording:
+        """The recording with the scan of each frame that is nearest to its time, within half a period.
+
+        Points are where they were seen from the lidar in the frame: the motion of the agent since then is removed.
+        """
+        count, agents = len(recording), list(self._agents.values())
+        times, scans = self._times_ns[:count], {}
+        for row, agent in enumerate(agents):
+            entry = agent.sensors[0].points
+            if entry is None:
+                continue
+            of_topic = self._scans[entry]
+            order = np.argsort(of_topic, kind="stable")
+            nearest = order[_nearest(of_topic[order], times)]
+            poses = self._poses(agent, of_topic[nearest])
+            there = (2 * np.abs(of_topic[nearest] - times) <= self._map.period_ns) & poses.known
+            found = read_scans(bag, entry, set(nearest[there].tolist()))
+            lidar = recording.agents[row].sensor
+            of_agent = []
+            for frame in range(count):
+                points = found.get(int(nearest[frame]), Points.empty()) if there[frame] else Points.empty()
+                then = poses.position[frame], poses.rotation[frame]
+                now = recording.agent_position[frame, row], recording.agent_rotation[frame, row]
+                if not (np.array_equal(then[0], now[0]) and np.array_equal(then[1], now[1])):
+                    mount = lidar.mount_position, lidar.mount_rotation
+                    seen = to_world(points.position.astype(np.float64), *sensor_pose(*then, *mount))
+                    points = replace(points, position=to_local(seen, *sensor_pose(*now, *mount)).astype(np.float32))
+                of_agent.append(points)
+            scans[row] = of_agent
+            if absent := int((~there).sum()):
+                name = recording.sensor_names[recording.column(row)]
+                self.notes.append(f"{name}: no points in {absent} of {count} frames: no scan within half a period")
+        kept = RecordedScans.of(f"{self._path}: points", count, len(agents), scans)
+        return replace(recording, scans=kept, notes=tuple(self.notes))
 
     def _frames(self, start_s: float, duration_s: float | None) -> Ints:
         """(F,) ns, the times of the frames of a part of the time in which all agents of the map have a pose."""
@@ -241,6 +289,13 @@ class BagScene:
         ):
             if number:
                 self.notes.append(f"{name}: {number} of {total} measurements left out: {why}")
+
+
+def _nearest(sorted_ns: Ints, times_ns: Ints) -> Ints:
+    """(n,) the row of the time in (K,) that is nearest to each of (n,)."""
+    after = np.clip(np.searchsorted(sorted_ns, times_ns), 0, len(sorted_ns) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(times_ns - sorted_ns[before] <= np.abs(sorted_ns[after] - times_ns), before, after)
 
 
 _NO_BODY = Body(size=(1.0, 1.0, 1.0), kind="unknown")

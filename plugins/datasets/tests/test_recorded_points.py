@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,16 +10,22 @@ import pytest
 from comparison import junction
 from damages import Damage, assert_refused, content
 from kitti_writer import write_kitti
-from mast_datasets import KittiTracking
+from mast_datasets import KittiTracking, RosBag
+from mast_datasets.rosbag import PointsEntry, parse_map
+from mast_datasets.rosbag_points import read_scans, stamp_of_scan
+from mast_ros2 import type_store
+from mast_ros2.spatial import header
+from rosbag_writer import START_NS, TYPES, Sent, pose_stamped, write_bag
 
 import mast_zenoh as mast
-from mast_zenoh.errors import SceneError
+from mast_zenoh.errors import ConfigurationError, MessageError, SceneError
 from mast_zenoh.runs.messages import messages
 from mast_zenoh.scenes import RecordingFile, recorded_scans
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.show.export import export
 
 FRAMES = 6
+MS = 10**6
 SHIPPED = Path(mast.__file__).parents[1] / "scenarios"
 
 
@@ -135,3 +142,111 @@ def test_more_points_than_fit_into_memory_are_refused(tmp_path: Path, monkeypatc
     monkeypatch.setattr(recorded_scans, "MAX_ALL_POINTS", 10)
     with pytest.raises(SceneError, match=r"0004: found more than 10 points in 3 of 12 frames, .* choose fewer frames"):
         read(kitti(tmp_path))
+
+
+# -- ROS 2 bags --------------------------------------------------------------------------------------------------------
+
+
+def test_points_of_an_exported_bag_reach_the_detector(simulated: mast.Run, tmp_path: Path) -> None:
+    export(simulated.path, "rosbag2", tmp_path / "bag")
+    mount = bodies(simulated, "agent/ego/points")[0]["mount_position"].tolist()
+    points = dict(topic="/agent/ego/points", frame="ego/lidar", most_intensity=1.0)
+    ego = dict(pose=dict(topic="/tf", child="ego"), detections=dict(kind="lidar", position=mount, points=points))
+    topics = dict(frames=dict(world={}), agents=dict(ego=ego), truth=dict(all=dict(topic="/scene/truth")))
+    run = played(tmp_path / "files", dict(type="RosBag", path=str(tmp_path / "bag"), topics=topics))
+    assert_same_perception(simulated, run)
+    for one, other in zip(*(bodies(each, "agent/ego/points") for each in (simulated, run)), strict=True):
+        for column in ("intensity", "time_s", "channel"):
+            np.testing.assert_array_equal(one[column], other[column])
+
+
+FIELDS = dict(x="<f4", y="<f4", z="<f4", intensity="<f4", ring="<u2", t="<u4")
+
+
+def cloud(time_ns: int, rows: Any, **fields: str) -> Any:
+    """A PointCloud2 at ns after the start, with as many values in each row as it has fields. fields: name and type"""
+    kind = np.dtype(list((fields or FIELDS).items()))
+    points = np.array([tuple(row) for row in rows], kind)
+    numbers = {"<f4": 7, "<u2": 4, "<u4": 6, "<f8": 8, "<i4": 5}
+    listed = [TYPES["sensor_msgs/msg/PointField"](n, kind.fields[n][1], numbers[kind[n].str], 1) for n in kind.names]
+    size, data = kind.itemsize, np.frombuffer(points.tobytes(), np.uint8)
+    head = header(START_NS + time_ns, "velodyne")
+    message = TYPES["sensor_msgs/msg/PointCloud2"]
+    return message(head, 1, len(points), listed, False, size, size * len(points), data, True)
+
+
+ROWS = [(9.0, 1.0, 0.5, 51.0, 3, 1000), (np.nan, 0, 0, 0, 0, 0), (0, 0, 0, 9, 1, 5), (5.0, 0.0, 0.0, 510.0, 2, 0)]
+
+
+def bag(folder: Path, *scans: tuple[int, Any], frames: int = 3) -> Recording:
+    """What is read of a bag whose ego drives east at 10 m/s, with clouds at some ms."""
+    poses = [
+        Sent("/pose", k * 100 * MS, pose_stamped(k * 100 * MS, "map", (float(k), 0.0, 0.0))) for k in range(frames)
+    ]
+    sent = [Sent("/points", ms * MS, message) for ms, message in scans]
+    path = write_bag(folder / "bag", sorted([*poses, *sent], key=lambda each: each.received_ns))
+    lidar = dict(kind="lidar", position=[0.0, 0.0, 1.8], points=dict(topic="/points", frame="velodyne"))
+    ego = dict(pose=dict(topic="/pose"), body=dict({"class": "car"}, size=[4.0, 2.0, 1.5]), detections=lidar)
+    return RosBag(path=str(path), topics=dict(frames=dict(map={}), agents=dict(ego=ego))).record(0, None)
+
+
+def test_the_nearest_scan_counts_from_where_its_agent_is_in_the_frame(tmp_path: Path) -> None:
+    recording = bag(tmp_path, *((ms, cloud(ms * MS, ROWS)) for ms in (0, 30, 110)))
+    assert recording.scans is not None
+    first, second, third = (recording.scans.at(frame, 0) for frame in range(3))
+    assert first.position.tolist() == [[5.0, 0.0, 0.0], [9.0, 1.0, 0.5]], "by time; what is no return is left out"
+    assert first.intensity.tolist() == [1.0, pytest.approx(0.2)]
+    assert first.channel.tolist() == [2, 3]
+    assert first.time_s.tolist() == [0.0, pytest.approx(1e-6)]
+    moved = np.array([0.1, 0.0, 0.0])  # the ego was as far ahead
+    np.testing.assert_allclose(second.position, first.position + moved, atol=1e-5)
+    assert len(third) == 0
+    assert any("lidar: no points in 1 of 3 frames" in note for note in recording.notes)
+
+
+def changed(**values: Any) -> Any:
+    message = cloud(0, ROWS)
+    for name, value in values.items():
+        setattr(message, name, value)
+    return message
+
+
+@pytest.mark.parametrize(
+    ("message", "error"),
+    [
+        (changed(data=np.zeros(50, np.uint8)), "found 50 bytes for 1 rows of 4 points of 22 bytes, row_step 88"),
+        (changed(fields=cloud(0, ROWS).fields * 20), "found 120 fields, expected at most 100"),
+        (changed(row_step=80), "row_step 80, expected"),
+        (changed(width=10_000_000, height=10_000_000), "found 100000000000000 points, expected at most 500000"),
+        (changed(point_step=4), "is at byte 4, expected it in 4 bytes|row_step"),
+        (cloud(0, [(1, 2, 3)], x="<f4", y="<i4", z="<f4"), "expected x, y and z of floating point"),
+        (cloud(0, [(1, 2)], x="<f4", y="<f4"), r"found the fields x \(float32\), y \(float32\), expected x, y and z"),
+        (cloud(0, [(1e30, 2, 3)], x="<f4", y="<f4", z="<f4"), "point 0: x, y, z: found .* -10000 to 10000"),
+    ],
+)
+def test_damaged_messages_of_points_are_refused(message: Any, error: str, tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=rf"bag: /points: message 0, received at [0-9]+ ns.*{error}"):
+        bag(tmp_path, (0, message))
+
+
+def test_a_payload_that_is_cut_off_is_refused() -> None:
+    payload = type_store.encode(cloud(0, ROWS))
+    assert stamp_of_scan(payload) == (START_NS, "velodyne")
+    connection = SimpleNamespace(topic="/points")
+    sent = SimpleNamespace(path="bag", messages=lambda topics: [(connection, 7, payload[:-20])])
+    with pytest.raises(SceneError, match="bag: /points: message 0, received at 7 ns, cannot be read"):
+        read_scans(sent, PointsEntry(topic="/points", frame="velodyne"), {0})  # type: ignore[arg-type]
+    with pytest.raises(MessageError, match="PointCloud2: 10 bytes"):
+        stamp_of_scan(payload[:10])
+
+
+def test_points_go_to_the_first_sensor_a_lidar_without_detections(tmp_path: Path) -> None:
+    points = dict(topic="/points", frame="velodyne")
+    for detections in (
+        dict(kind="radar", points=points),
+        [dict(kind="lidar"), dict(kind="lidar", name="other", points=points)],
+        dict(kind="lidar", topic="/found", frame="velodyne", points=points),
+    ):
+        agents = dict(ego=dict(pose=dict(topic="/pose"), detections=detections))
+        with pytest.raises(ConfigurationError, match="points: expected them of the first sensor, a lidar without"):
+            parse_map(dict(frames=dict(map={}), agents=agents), tmp_path)

@@ -66,7 +66,8 @@ class RunMessages:
         where their agents are
 
     topics: all of them
-    objects: by series, the topic of its detections;  odometry: by agent, its topic;  points: by agent whose scans were recorded, their topic
+    objects: by series, the topic of its detections;  odometry: by agent, its topic
+    points: by agent whose scans were recorded, their topic
     """
 
     def __init__(self, run: Run, namespace: str = "/", partners: Mapping[str, Mapping[str, Any]] | None = None) -> None:
