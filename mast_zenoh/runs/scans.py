@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +11,11 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.states import Floats
+from mast_zenoh.errors import MessageError
+from mast_zenoh.messages import codec
+from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
+from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.routes import POINTS, scan_keys
 from mast_zenoh.runs.run import Run
@@ -58,13 +64,29 @@ def scanned_agents(run: Run) -> tuple[str, ...]:
     return tuple(agent for agent in run.agents if agent in with_points)
 
 
+def scans_of(run: Run, agent: str, frames: range) -> Iterator[tuple[int, LidarScan]]:
+    """Frame and scan of an agent in some frames of a recorded run, in order; frames without one are left out.
+
+    Raises RunFolderError if there is no recording, or if it is damaged before its end.
+    """
+    known = [(frame, scan_keys(wiring, (agent,))) for frame, wiring in run.files.wirings]
+    last = -1
+    for message in read(run.path, lambda channel: channel.get("message") == POINTS):
+        keys = next(of for frame, of in reversed(known) if frame < message.step or frame < 0)
+        if message.key in keys and not message.malformed and message.frame in frames and message.frame > last:
+            with suppress(MessageError):  # receivers refuse it
+                scan = _scan(codec.decode(message.payload, message.type).body)
+                last = message.frame
+                yield last, scan
+
+
 def scans_in(frame: Frame) -> dict[str, LidarScan]:
     """By agent, its scan in a frame of a recorded run; an agent without one is absent."""
     bodies = {agent: frame.bodies.get(Series(agent, POINTS)) for agent in frame.run.agents}
-    return {
-        agent: LidarScan(
-            Points.from_columns(body), body["mount_position"], rotation_from_quaternion(body["mount_rotation"])
-        )
-        for agent, body in bodies.items()
-        if body is not None
-    }
+    return {agent: _scan(body) for agent, body in bodies.items() if body is not None}
+
+
+def _scan(body: Body) -> LidarScan:
+    """The scan of the columns of a message."""
+    turn = rotation_from_quaternion(body["mount_rotation"])
+    return LidarScan(Points.from_columns(body), body["mount_position"], turn)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.boxes import Boxes
-from mast_zenoh.arrays.geometry import heading
+from mast_zenoh.arrays.geometry import heading, to_world
 from mast_zenoh.arrays.states import CLASSES, Bools, Floats, Ints, ObjectStates
 from mast_zenoh.errors import MastError
 from mast_zenoh.launch.twin import NAME
@@ -26,6 +26,7 @@ from mast_zenoh.runs.events import PLACED, Happening, event, first_changes, happ
 from mast_zenoh.runs.files import ALL, Table, are_in, column, rows
 from mast_zenoh.runs.interposers import adversaries_by_agent, interposers
 from mast_zenoh.runs.run import Run
+from mast_zenoh.runs.scans import scanned_agents, scans_of
 from mast_zenoh.scenes.recording import TRUTH_COLUMNS, Recording, SceneAgent, truth_states
 from mast_zenoh.show.page.motion import Judgements, Meaning, Packer, View, motion_of, recorded_tracks, row_keys
 from mast_zenoh.show.palette import STATES, page_colours
@@ -35,6 +36,9 @@ FORMAT = 1
 LENGTH, ANGLE, SCORE = 0.01, 0.002, 0.01
 #: m/s, m and 1: resolution of velocities, of standard deviations and of correlations; m, of the swept free space.
 _SPEED, _SPREAD, _CORRELATION, _SWEPT = 0.05, 0.02, 0.02, 0.5
+#: m: resolution of the points of a lidar. Limits on those of one frame, a prime so that no channel is left out for its
+#: place in their order, and of all frames: 1 to 2 MB of a page.
+_POINT, _MOST_POINTS, _MOST_POINTS_OF_ALL = 0.05, 1999, 400_000
 #: Ids from here on do not fit into a column.
 _MOST_ID = 1 << 30
 #: Flags of an agent in a frame, above its state (0: not judged, else 1 + the row of STATES).
@@ -93,6 +97,7 @@ def run_block(run: Run, frame: int | None = None, label: str = "") -> bytes | No
         "recorded": (run.path / "messages.mcap").is_file(),
         "spans": periods,
         "events": _events(run, judged, periods, frames, times),
+        "points": _add_points(packer, run, frames),
         "drives": _add_drives(packer, run, frames, times),
     }
     return packer.block(header)
@@ -420,6 +425,30 @@ def _add_drives(packer: Packer, run: Run, frames: range, times: Floats) -> list[
         scale = {"speed": _SPEED, "acceleration": _SPEED, "brake": 1.0}.get(name, LENGTH)
         packer.add(f"drive.{name}", np.array(parts).reshape(len(drives), len(times)), scale=scale)
     return drives
+
+
+def _add_points(packer: Packer, run: Run, frames: range) -> str:
+    """Add `points.count`, a row per frame, and `points.x` y z: some of the points of the ego's lidar, world frame.
+
+    They are evenly spread over a scan. Returns the agent whose they are; empty: no points were recorded.
+    """
+    scene = run.files.scene
+    if scene is None or run.ego not in scanned_agents(run):
+        return ""
+    row, most = scene.agent_names.index(run.ego), min(_MOST_POINTS, _MOST_POINTS_OF_ALL // len(frames))
+    count, parts = np.zeros(len(frames), np.int64), [np.zeros((0, 3))]
+    for frame, scan in scans_of(run, run.ego, frames):
+        kept = np.arange(min(most, len(scan.points))) * len(scan.points) // min(most, max(len(scan.points), 1))
+        points = scan.points.select(kept)
+        points = points.select(np.lexsort((points.time_s, points.channel)))  # neighbours differ little
+        here = scene.nearest(frame)
+        of_agent = to_world(points.position.astype(np.float64), scan.position, scan.rotation)
+        parts.append(to_world(of_agent, scene.agent_position[here, row], scene.agent_rotation[here, row]))
+        count[(frame - frames.start) // frames.step] = len(kept)
+    packer.add("points.count", count)
+    for axis, values in zip("xyz", np.concatenate(parts).T, strict=True):
+        packer.add(f"points.{axis}", values, scale=_POINT)
+    return run.ego
 
 
 def _by_frame(course: Table, name: str, frames: range, unknown: float) -> Floats:

@@ -162,6 +162,21 @@ export function drawSensors(canvas, agents, frame, chosen) {
   }
 }
 
+/**
+ * The points that the lidar of an agent returned.
+ * @param {Canvas} canvas
+ * @param {number} frame
+ */
+export function drawPoints({ context, viewport, width, height, palette, run }, frame) {
+  const { "points.x": x, "points.y": y } = run.columns;
+  const [from, to] = run.pointsAt(frame);
+  context.fillStyle = faded(palette.faint, 0.75);
+  for (let row = from; row < to; row++) {
+    const [px, py] = viewport.toScreen(x[row], y[row], width, height);
+    context.fillRect(px - 0.7, py - 0.7, 1.4, 1.4);
+  }
+}
+
 /** Make the path of a sensor's field of view. */
 function sector(canvas, mark, limits, distances) {
   canvas.context.beginPath();

@@ -31,6 +31,20 @@ export function drawOnGround(canvas, marks, view) {
   context.setLineDash([]);
 }
 
+/** The points that the agent's lidar returned. */
+function drawPointsAhead(canvas, view, frame) {
+  const { context, palette, run, width, height } = canvas;
+  const { "points.x": x, "points.y": y, "points.z": z } = run.columns;
+  const [from, to] = run.pointsAt(frame);
+  context.fillStyle = faded(palette.faint, 0.8);
+  for (let row = from; row < to; row++) {
+    const pixel = view.lens.point([x[row], y[row], z[row]]);
+    if (!pixel) continue;
+    const [px, py] = canvas.window.toScreen(pixel[0], pixel[1], width, height);
+    context.fillRect(px - 0.8, py - 0.8, 1.6, 1.6);
+  }
+}
+
 /** A line through places on the ground, without what is behind the camera. @param {number[][]} places m */
 function drawGroundLine(canvas, view, places, level, colour, width) {
   const { context } = canvas;
@@ -131,6 +145,7 @@ export function drawCamera(canvas, marks, view, chosen) {
   drawBackground(canvas, view);
   drawOnGround(canvas, marks, view);
   drawWalls(canvas, view);
+  if (layers.points && view.agent === canvas.run.scanned) drawPointsAhead(canvas, view, marks.frame);
   const rank = (solid) => OUTCOMES.indexOf(outcomeOf(solid.box)) - 10 * Math.round(solid.distance); // a track and its truth: one place
   const solids = [...view.boxes].sort((a, b) => rank(a) - rank(b));
   for (const faces of view.withheld) drawWithheldBox(canvas, faces);

@@ -107,7 +107,8 @@ export class Controls {
       state.set({ swipe: !state.swipe });
     };
     this.swipe = element("button", { type: "button", title: "compare two panels by swiping (w)", onclick: onswipe }, "swipe");
-    const possible = Object.entries(LAYERS).filter(([name]) => name !== "links" || state.runs.some((run) => run.header.centre));
+    const some = { links: (run) => run.header.centre, points: (run) => run.scanned };
+    const possible = Object.entries(LAYERS).filter(([name]) => !some[name] || state.runs.some(some[name]));
     const layers = possible.map(([name, [label]]) => {
       const box = element("input", { type: "checkbox", checked: state.layers[name] });
       box.addEventListener("change", () => state.set({ layers: { ...state.layers, [name]: box.checked } }));

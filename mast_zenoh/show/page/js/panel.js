@@ -1,6 +1,6 @@
 // One panel: the choice of run, agent and estimate, the canvas, and what is under the pointer.
 
-import { drawBoxes, drawCentre, drawGround, drawIds, drawLinks, drawScale, drawSensors, drawTwins } from "./above.js";
+import { drawBoxes, drawCentre, drawGround, drawIds, drawLinks, drawPoints, drawScale, drawSensors, drawTwins } from "./above.js";
 import { drawCamera, hitSolid } from "./camera.js";
 import { choice, element, resizeCanvas } from "./controls.js";
 import { describe, hit, marksOf, tally } from "./marks.js";
@@ -88,6 +88,7 @@ export class Panel {
       drawGround(canvas);
       if (layers.links) drawLinks(canvas, marks.links);
       drawSensors(canvas, marks.agents, marks.frame, this.choice.agent);
+      if (layers.points && this.choice.agent === run.scanned) drawPoints(canvas, marks.frame);
       drawBoxes(canvas, marks, this.chosen, taken);
       reserveSigns(canvas, marks.agents, taken);
       drawTwins(canvas, marks.agents, taken);

@@ -105,6 +105,7 @@ export class Run {
     this.effectsByFrame = groupByFrame(columns["effects.frame"], this.frames);
     this.withheldByFrame = groupByFrame(columns["withheld.frame"], this.frames);
     this.sweepStart = sweepStarts(this.agents, this.frames);
+    /** @type {Int32Array | null} */ this.pointStart = null;
   }
 
   /** @returns {string[]} names of the agents that have estimates, then of all others */
@@ -234,6 +235,22 @@ export class Run {
     );
     if (index < 0) return null;
     return this.columns[`${column}.${measure}`].subarray(index * this.frames, (index + 1) * this.frames);
+  }
+
+  /** The agent whose lidar's points are shown; empty: none were recorded. @returns {string} */
+  get scanned() {
+    return this.header.points ?? "";
+  }
+
+  /** @param {number} frame @returns {[number, number]} first row of its points in `points.x` and so on, and their end */
+  pointsAt(frame) {
+    if (!this.scanned) return [0, 0];
+    if (!this.pointStart) {
+      const counts = this.columns["points.count"];
+      this.pointStart = new Int32Array(counts.length + 1);
+      for (let i = 0; i < counts.length; i++) this.pointStart[i + 1] = this.pointStart[i] + counts[i];
+    }
+    return [this.pointStart[frame], this.pointStart[frame + 1]];
   }
 
   /** @returns {number} 1, or n if only every n-th frame of a long run is shown */

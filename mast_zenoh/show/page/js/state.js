@@ -14,6 +14,7 @@ export const LAYERS = {
   links: ["links to the command centre", true],
   ranges: ["sensor ranges", true],
   space: ["space swept free", true],
+  points: ["points of the lidar", true],
   manipulations: ["what adversaries changed", true],
   paths: ["paths driven in the run", true],
 };
