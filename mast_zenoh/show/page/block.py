@@ -428,9 +428,9 @@ def _add_drives(packer: Packer, run: Run, frames: range, times: Floats) -> list[
 
 
 def _add_points(packer: Packer, run: Run, frames: range) -> str:
-    """Add `points.count`, a row per frame, and `points.x` y z: some of the points of the ego's lidar, world frame.
+    """Add `points.*`: how many there are in each frame, and x y z, world frame, of some points of the ego's lidar.
 
-    They are evenly spread over a scan. Returns the agent whose they are; empty: no points were recorded.
+    They are evenly spread over a scan. Returns the agent whose lidar it is; empty: no points were recorded.
     """
     scene = run.files.scene
     if scene is None or run.ego not in scanned_agents(run):
