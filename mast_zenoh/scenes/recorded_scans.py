@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.errors import SceneError
+from mast_zenoh.messages.layout import MAX_ROWS
 from mast_zenoh.sensing.points import Points
 
 #: Limits on the points of one scan, which is one message, and of all in a recording, which is in memory.
-MAX_POINTS, MAX_ALL_POINTS = 500_000, 40_000_000
+MAX_POINTS, MAX_ALL_POINTS = MAX_ROWS, 40_000_000
 #: Names of the columns of points.
 _COLUMNS = tuple(each.name for each in fields(Points))
 

@@ -370,8 +370,8 @@ class Recording:
             _check_numbers(self.name, name, getattr(self, name))
         for index, sweep in enumerate(self.sweeps):
             _check_numbers(self.name, f"sweeps.{index}", sweep)
-        for name in ("position", "intensity", "time_s") if self.scans is not None else ():
-            _check_numbers(self.name, f"scans.{name}", getattr(self.scans.points, name))
+        for name, values in (self.scans.arrays() if self.scans is not None else {}).items():
+            _check_numbers(self.name, name, values)
         for frame in range(len(self)):
             self._check_ids(frame, self.truth_at(frame).id)
 

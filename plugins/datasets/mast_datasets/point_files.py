@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.recorded_scans import MAX_POINTS
@@ -31,32 +31,21 @@ def read_bin(path: Path) -> Points:
         values = np.fromfile(path, _BIN).reshape(-1, _BIN_COLUMNS)
     except OSError as error:
         raise SceneError(f"{path}: cannot be read: {error.strerror or error}") from error
-    return checked_points(path, values[:, :3], values[:, 3])
+    return checked(replace(Points.of(values[:, :3]), intensity=values[:, 3]), path)
 
 
-def checked_points(
-    place: object,
-    position: NDArray[np.float32],
-    intensity: NDArray[np.float32],
-    time_s: NDArray[np.float32] | None = None,
-    channel: NDArray[np.uint8] | None = None,
-) -> Points:
-    """Points (n, 3) m with their other columns (n,), ordered by firing, then by channel.
+def checked(points: Points, place: object) -> Points:
+    """The points, ordered by firing, then by channel.
 
     place: of them, for messages. Raises SceneError for the first number that cannot be.
     """
     for name, values, least, most in (
-        ("x, y, z", position, -MAX_RANGE_M, MAX_RANGE_M),
-        ("intensity", intensity[:, None], 0.0, 1.0),
+        ("x, y, z", points.position, -MAX_RANGE_M, MAX_RANGE_M),
+        ("intensity", points.intensity[:, None], 0.0, 1.0),
     ):
         invalid = ~((values >= least) & (values <= most)).all(axis=1)  # so is NaN
         if invalid.any():
             row = int(invalid.argmax())
-            expected = f"numbers from {least:g} to {most:g}"
-            raise SceneError(f"{place}: point {row}: {name}: found {values[row].tolist()}, expected {expected}")
-    n = len(position)
-    time_s = np.zeros(n, np.float32) if time_s is None else time_s
-    channel = np.zeros(n, np.uint8) if channel is None else channel
-    order = np.lexsort((channel, time_s))
-    points = Points(np.ascontiguousarray(position), np.ascontiguousarray(intensity), time_s, channel)
-    return points.select(order) if np.any(np.diff(order) < 0) else points
+            found = f"found {values[row].tolist()}, expected numbers from {least:g} to {most:g}"
+            raise SceneError(f"{place}: point {row}: {name}: {found}")
+    return points.select(np.lexsort((points.channel, points.time_s)))

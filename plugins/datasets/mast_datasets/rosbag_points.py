@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
-from mast_datasets.point_files import checked_points
+from mast_datasets.point_files import checked
 from mast_datasets.rosbag import PointsEntry
 from mast_datasets.rosbag_storage import MAX_MESSAGE_BYTES, Bag
 from mast_zenoh.errors import MessageError, SceneError
@@ -22,12 +22,8 @@ from mast_zenoh.sensing.points import Points
 
 #: Numbers of a PointField by its `datatype`.
 _KINDS: Mapping[int, str] = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-#: Names that drivers give to our columns besides x, y and z.
-_NAMES: Mapping[str, tuple[str, ...]] = {
-    "intensity": ("intensity", "i", "reflectivity"),
-    "time_s": ("t", "time", "time_stamp"),
-    "channel": ("ring", "channel", "line"),
-}
+#: Names that drivers give to intensities, times and channels.
+_NAMES = (("intensity", "i", "reflectivity"), ("t", "time", "time_stamp"), ("ring", "channel", "line"))
 _MAX_TIME_S = 1.0  # from the time of the message; others are no times of firings
 _MAX_FIELDS = 100
 _STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -73,25 +69,22 @@ def read_scans(bag: Bag, entry: PointsEntry, wanted: Collection[int]) -> dict[in
 def points_of(message: RosMessage, place: str, most_intensity: float = 1.0) -> Points:
     """The points of a PointCloud2, without those at 0, 0, 0 and those that are no numbers, which are no returns.
 
-    place: of it, for messages;  most_intensity: becomes 1, like all above. Without times, channels are left out, too.
+    place: of it, for messages;  most_intensity: becomes 1, like all above
 
-    Raises SceneError for a message that cannot be.
+    Times and channels are kept together, or neither. Raises SceneError for a message that cannot be.
     """
     values = _columns(message, place)
-    position = np.stack([values[axis].astype(np.float32) for axis in "xyz"], axis=1)
+    with np.errstate(over="ignore"):
+        position = np.stack([values[axis].astype(np.float32) for axis in "xyz"], axis=1)
     kept = np.isfinite(position).all(axis=1) & position.any(axis=1)
-    found = {
-        name: next((values[each][kept] for each in names if each in values), np.zeros(int(kept.sum()), np.float32))
-        for name, names in _NAMES.items()
-    }
-    share = np.clip(found["intensity"] / most_intensity, 0.0, 1.0).astype(np.float32)
-    time_s = found["time_s"].astype(np.float64) * (1.0 if found["time_s"].dtype.kind == "f" else 1e-9)
-    if not (np.abs(time_s) <= _MAX_TIME_S).all():
-        time_s[:] = 0.0
-    channel = found["channel"]
-    if not time_s.any() or not ((channel >= 0) & (channel < 256)).all():
-        channel = np.zeros(len(channel))
-    return checked_points(place, position[kept], share, time_s.astype(np.float32), channel.astype(np.uint8))
+    none = np.zeros(len(kept), np.float32)
+    share, time_s, channel = (next((values[n] for n in names if n in values), none)[kept] for names in _NAMES)
+    share = np.clip(share / most_intensity, 0.0, 1.0).astype(np.float32)
+    time_s = (time_s * (1.0 if time_s.dtype.kind == "f" else 1e-9)).astype(np.float32)
+    known = bool(time_s.any() and (np.abs(time_s) <= _MAX_TIME_S).all() and ((channel >= 0) & (channel < 256)).all())
+    if not known:
+        time_s = channel = none[kept]
+    return checked(Points(position[kept], share, time_s, channel.astype(np.uint8)), place)
 
 
 def _columns(message: RosMessage, place: str) -> dict[str, NDArray[Any]]:
