@@ -77,7 +77,7 @@ def points_of(message: RosMessage, place: str, most_intensity: float = 1.0) -> P
     with np.errstate(over="ignore"):
         position = np.stack([values[axis].astype(np.float32) for axis in "xyz"], axis=1)
     kept = np.isfinite(position).all(axis=1) & position.any(axis=1)
-    none = np.zeros(len(kept), np.float32)
+    none = np.zeros(len(position), np.float32)
     share, time_s, channel = (next((values[n] for n in names if n in values), none)[kept] for names in _NAMES)
     share = np.clip(share / most_intensity, 0.0, 1.0).astype(np.float32)
     time_s = (time_s * (1.0 if time_s.dtype.kind == "f" else 1e-9)).astype(np.float32)
