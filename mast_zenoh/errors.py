@@ -205,7 +205,7 @@ class DiskFull(RunError):
 
 
 class VersionMismatch(RunError):
-    """A remote node's version differs from the launcher's; names both."""
+    """A node has another mast-zenoh than the launcher; names both."""
 
     exit_code = 29
 

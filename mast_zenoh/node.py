@@ -68,7 +68,12 @@ class Context(Protocol):
 
     @property
     def now_ns(self) -> int:
-        """Time since the scene's start, ns; `time_ns` in lock-step, finer in real time."""
+        """Time since the scene's start, ns; `time_ns` in lock-step, finer in real time; the same within a handler."""
+        ...
+
+    @property
+    def elapsed_ns(self) -> int:
+        """How long the handler has been running, ns; 0 in lock-step."""
         ...
 
     def publish(

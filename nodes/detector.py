@@ -56,11 +56,14 @@ class DetectorNode(Node):
             time_ns, columns = self.found.popleft()
         else:  # of the first scan, nothing is known yet
             time_ns, columns = self.found[0][0], nothing_detected(received.body)
-        self.oldest_ns = max(self.oldest_ns, context.now_ns - time_ns)
+        self.oldest_ns = max(self.oldest_ns, context.now_ns + context.elapsed_ns - time_ns)
         context.publish("detections", columns, frame=received.frame, time_ns=time_ns)
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """Numbers of scans, points and detections, and s, the age of the oldest detections when they were sent."""
+        """Numbers of scans, points and detections; s, the age of the oldest detections when they were sent.
+
+        In real time this includes the time that the detector takes.
+        """
         return {**self.counts, "oldest_s": self.oldest_ns * 1e-9}
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from mast_zenoh.config import loading, plugins, registry
 from mast_zenoh.config.loading import SHIPPED, AllowedCode
-from mast_zenoh.errors import RunFolderError
+from mast_zenoh.errors import ConfigurationError, RunFolderError
 from mast_zenoh.messages import user_types
 from mast_zenoh.messages.limits import Timespan
 from mast_zenoh.messages.schemas import Schema
@@ -40,6 +40,7 @@ class NodeSpec:
     """One node of a run: its role, file, class and parameters.
 
     on_exit: what the run does when the node exits
+    python:  path of an interpreter of its own; empty: that of the launcher
     """
 
     role: str
@@ -47,6 +48,7 @@ class NodeSpec:
     type: str
     config: dict[str, Any]
     on_exit: str
+    python: str = ""
 
     @property
     def agents(self) -> tuple[str, ...]:
@@ -132,7 +134,8 @@ class Resolved:
         messages: message types that nodes declare
         idle: findings on parts that match nothing
         plugins: by class of a plugin, its distribution and version
-        nodes: by name: `role`, `file`, `type`, `on_exit`, and `config`, all of its parameters
+        nodes: by name: `role`, `file`, `type`, `on_exit`, `config`, all of its parameters, and `python`, the
+            interpreter of a node that has its own
         """
         nodes = {
             name: {
@@ -141,6 +144,7 @@ class Resolved:
                 "type": spec.type,
                 "on_exit": spec.on_exit,
                 "config": self._plain(spec.config),
+                **({"python": str(spec.python)} if spec.python else {}),
             }
             for name, spec in self.nodes.items()
         }
@@ -190,7 +194,7 @@ class Resolved:
     def read(cls, run_folder: Path, allowed: AllowedCode = SHIPPED, node: str = "") -> Resolved:
         """The resolved scenario in a run folder.
 
-        allowed: which of the Python files that it names may run; the others are UntrustedFile
+        allowed: which of the Python files and interpreters that it names may run; the others are UntrustedFile
         node:    which node begins with it: one that is being inserted may begin with another one
         Raises RunFolderError for a folder whose scenario cannot be read.
         """
@@ -207,13 +211,27 @@ class Resolved:
 
     def allowing(self, allowed: AllowedCode, origin: str, folder: Path | None = None) -> Resolved:
         """A copy that runs no code but what is shipped or allowed; see `AllowedCode.files_in`."""
-        names = {**dict.fromkeys(self.modules), **dict.fromkeys(spec.file for spec in self.nodes.values())}
+        specs = self.nodes.values()
+        of_nodes = [*(spec.file for spec in specs), *(spec.python for spec in specs if spec.python)]
+        names = dict.fromkeys([*self.modules, *of_nodes])
         files = cast("dict[str, str]", allowed.files_in(origin, folder, names))  # an UntrustedFile is shown as text
         return replace(
             self,
             modules=tuple(files[name] for name in self.modules),
-            nodes={name: replace(spec, file=files[spec.file]) for name, spec in self.nodes.items()},
+            nodes={
+                name: replace(spec, file=files[spec.file], python=files[spec.python] if spec.python else "")
+                for name, spec in self.nodes.items()
+            },
         )
+
+    def refuse_interpreters(self, where: str) -> None:
+        """Raise ConfigurationError for a node with an interpreter of its own. where: why it cannot have one, in words"""
+        for name, spec in self.nodes.items():
+            if spec.python:
+                raise ConfigurationError(
+                    f"{self.name}: {name}.python: found {str(spec.python)!r}, expected none {where}: play it as "
+                    "processes of this machine (--runtime mesh), or leave `python` out"
+                )
 
     def load_modules(self) -> None:
         """Load the user's Python files that define algorithms; raises UntrustedCode before any is loaded.

@@ -199,6 +199,8 @@ def plan(
         raise ConfigurationError(f"node {name!r} already exists: give another --name")
     if "agent" in signature(cls).parameters and agent_of(target.subject) in resolved.nodes:
         config.setdefault("agent", agent_of(target.subject))
+    if "python" in config:
+        raise ConfigurationError(f"{name}.python: found {config['python']!r}, expected none in a node that is inserted")
     spec = replace(node_spec(path, name, cls.role, config | {"file": str(path)}), on_exit="continue")
     try:
         build_node(spec, name, str(path))

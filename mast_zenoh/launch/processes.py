@@ -15,15 +15,16 @@ import sys
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import IO, Any
 
 from mast_zenoh.config.resolved import NodeSpec
-from mast_zenoh.errors import StartError
+from mast_zenoh.errors import ConfigurationError, StartError, VersionMismatch
 from mast_zenoh.launch.liveness import processor_time_s
 from mast_zenoh.launch.supervisor import Child, Supervisor
 from mast_zenoh.mesh.hosting import RUN, end_strays
+from mast_zenoh.version import version_string
 
 #: s, for the server to import everything and to answer, and for it to leave.
 _START_S, _END_S = 30.0, 5.0
@@ -153,6 +154,36 @@ ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 _NODE = [sys.executable, "-P", "-m", "mast_zenoh.mesh"]  # -P: nothing from the working directory
 
 
+#: s, in which an interpreter tells which mast-zenoh it has.
+_TELL_S = 60.0
+
+
+def check_interpreters(nodes: Mapping[str, NodeSpec]) -> None:
+    """Ask the interpreters that nodes have of their own which mast-zenoh they import.
+
+    Raises ConfigurationError for one without it, VersionMismatch for one with another.
+    """
+    names = {spec.python: name for name, spec in nodes.items() if spec.python}
+    for python, name in names.items():
+        tell = "from mast_zenoh.mesh import hosting; from mast_zenoh import version; print(version.version_string())"
+        try:
+            answer = subprocess.run(
+                [python, "-P", "-c", tell], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_TELL_S
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise ConfigurationError(f"{name}.python: {python} cannot be used: {error}") from None
+        if answer.returncode:
+            reason = (answer.stderr.strip().splitlines() or [f"exit code {answer.returncode}"])[-1]
+            raise ConfigurationError(
+                f"{name}.python: {python} cannot import mast-zenoh: {reason}: expected an environment in which "
+                f"mast-zenoh {version_string()} is installed"
+            )
+        if (found := answer.stdout.strip()) != version_string():
+            raise VersionMismatch(
+                f"{name}.python: {python} has mast-zenoh {found}, expected {version_string()}: install the same one"
+            )
+
+
 class Process(Child):
     """A node as a process of this machine."""
 
@@ -207,7 +238,8 @@ class Processes(Supervisor[Process]):
 
     def command(self, name: str, spec: NodeSpec) -> list[str]:
         """The command that starts a node."""
-        command = [*self.inside(name), *_NODE, spec.file, "--run-folder", str(self.folder), "--name", name]
+        node = [spec.python, *_NODE[1:]] if spec.python else _NODE
+        command = [*self.inside(name), *node, spec.file, "--run-folder", str(self.folder), "--name", name]
         zid = "1" + secrets.token_hex(15)
         self.zids.add(zid)
         return [*command, "--endpoint", self.endpoint, "--run", self.run, "--zid", zid, *self.extra_arguments(name)]

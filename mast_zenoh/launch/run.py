@@ -26,6 +26,7 @@ from mast_zenoh.launch.context import RunContext
 from mast_zenoh.launch.display import Display
 from mast_zenoh.launch.engine import Engine
 from mast_zenoh.launch.observation import InProcessObservation
+from mast_zenoh.launch.processes import check_interpreters
 from mast_zenoh.launch.table_files import TableFiles
 from mast_zenoh.mesh.control import failures
 from mast_zenoh.mesh.inproc import InProcess
@@ -166,7 +167,8 @@ def run(
     command:  what started the run, for run.json; None: this process's command line
     replay:   of a replay: what it replays, for run.json and metrics.json, with `notices`, a sentence for each thing
               that is missing
-    Raises RunFolderError, DiskFull, ConfigurationError without the kernels that it needs, and, of the engine,
+    Raises RunFolderError, DiskFull, ConfigurationError without the kernels or with an interpreter that it cannot use,
+    VersionMismatch for an interpreter with another mast-zenoh, and, of the engine,
     BackendError and EngineError before anything is started.
 
     Keys:
@@ -204,6 +206,9 @@ def run(
     ensure_descriptors(len(resolved.nodes) if runtime == "mesh" else 0)
     check_kernels(Wiring.from_json(resolved.wiring).codecs, resolved.name)
     check_steps(resolved, where, unplugs=engine is not None and engine.unplugs)
+    if runtime == "inproc" or engine is not None:
+        resolved.refuse_interpreters(f"with {where}" if engine else "in one process")
+    check_interpreters(resolved.nodes)
     if engine is not None:
         engine.check(resolved, secure)
     user_types.use(resolved.messages)

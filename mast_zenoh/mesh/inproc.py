@@ -52,6 +52,7 @@ class InProcess:
         stopping: Callable[[], bool] = lambda: False,
         hand_in: Callable[[str, str, TablePart], None] | None = None,
     ) -> None:
+        resolved.refuse_interpreters("in one process")
         self._resolved = resolved
         user_types.use(resolved.messages)
         self._wiring = Wiring.from_json(resolved.wiring)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,8 @@ CONTROLS = {
     "on_exit": f"what the run does when the node's process ends: {', '.join(ON_EXIT)}; by default continue for the "
     f"roles {', '.join(_DEFAULT_ON_EXIT)}, and fail for all others",
     "role": "of the node, in `nodes`",
+    "python": "an interpreter of the node's own, such as .venv-torch/bin/python next to the scenario, in whose environment "
+    "the same mast-zenoh is installed; only as processes of this machine",
 }
 
 
@@ -302,10 +305,22 @@ def node_spec(path: Path, name: str, role: str, config: Mapping[str, Any]) -> No
     on_exit = config.get("on_exit", _DEFAULT_ON_EXIT.get(role, "fail"))
     if on_exit not in ON_EXIT:
         raise ConfigurationError(f"{place}.on_exit: found {on_exit!r}{nearest(str(on_exit), ON_EXIT)}")
+    python = _interpreter(config.get("python", ""), path.parent, place)
     parameters = {key: value for key, value in config.items() if key not in CONTROLS}
     if "agent" in parameters and "agent" not in inspect.signature(cls).parameters:
         raise NodeFileError(f"{place}: {cls.__name__} has no parameter `agent`, which selects its wire")
-    return NodeSpec(role, str(file), cls.__name__, parameters, on_exit)
+    return NodeSpec(role, str(file), cls.__name__, parameters, on_exit, python)
+
+
+def _interpreter(python: object, folder: Path, place: str) -> str:
+    """The absolute path of a node's own interpreter; links stay, as they lead to its environment."""
+    if not isinstance(python, str):
+        raise ConfigurationError(f"{place}.python: found {python!r}, expected the path of an interpreter")
+    file = (folder / Path(python).expanduser()).absolute()
+    if python and not (file.is_file() and os.access(file, os.X_OK)):
+        found = f"the file {file}, which cannot be executed" if file.exists() else f"no file {file}"
+        raise ConfigurationError(f"{place}.python: found {found}, expected an interpreter of Python")
+    return str(file) if python else ""
 
 
 def surroundings_of(recording: Recording, victims: Iterable[str]) -> dict[str, Any]:

@@ -17,14 +17,22 @@ MAP = "points.toml"
 PLACES = ("detector", "agent", "simulator")
 #: Rows by which a detector of points may find more than the model of detections did, in a frame.
 MORE_DETECTIONS = 64
-#: Keys of the part: those of the scans, and what each of the others is.
-_SCANS = ("lidar", "returns", "clutter", "moving")
-_OTHERS = {
+#: Keys of the part: those of the scans; of the others, what each is by default, and what it means.
+SCANS = ("lidar", "returns", "clutter", "moving")
+OTHERS: dict[str, Any] = {
     "detector": {"type": "ClusterDetector"},
     "detected_by": "detector",
     "late_frames": 0,
     "node": {},
     "recorded": False,
+}
+KEYS = {
+    "detector": "finds objects in the points, a `PointDetector`; each lidar has one of its own",
+    "detected_by": f"where that is done, one of {', '.join(PLACES)}: in a node `detector_AGENT` between lidar and agent; "
+    "in the agent; or where the points are made, so that none are sent",
+    "late_frames": "frames by which the detections of nodes are late; in real time, the time that they take is added",
+    "node": "of the nodes that detect: keys that every node may have, such as `python`, and parameters of their class",
+    "recorded": "whether the recording has the points: 21 bytes each, before compression",
 }
 
 
@@ -37,9 +45,9 @@ def described(path: Path, scenario: Mapping[str, Any]) -> dict[str, Any]:
     if options is None:
         return {}
     for key in options:
-        if key not in (*_SCANS, *_OTHERS):
-            raise ConfigurationError(f"{path}: points.{key}: unknown key{nearest(key, (*_SCANS, *_OTHERS))}")
-    complete: dict[str, Any] = {**_OTHERS, **options}
+        if key not in (*SCANS, *OTHERS):
+            raise ConfigurationError(f"{path}: points.{key}: unknown key{nearest(key, (*SCANS, *OTHERS))}")
+    complete: dict[str, Any] = {**OTHERS, **options}
     place = complete["detected_by"]
     if place not in PLACES:
         raise ConfigurationError(f"{path}: points.detected_by: found {place!r}{nearest(str(place), PLACES)}")
@@ -61,7 +69,7 @@ def of_simulator(options: Mapping[str, Any]) -> dict[str, Any]:
     if not options:
         return {}
     detector = {"detector": options["detector"]} if options["detected_by"] == "simulator" else {}
-    scans = {key: options[key] for key in _SCANS if key in options}
+    scans = {key: options[key] for key in SCANS if key in options}
     return {"points": {"type": ScannedPoints.__name__, **scans, **detector}}
 
 

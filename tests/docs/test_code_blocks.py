@@ -304,7 +304,7 @@ RUN: dict[str, list[Callable[[Block, Path], None] | None]] = {
 #: Pages whose files are run by tests of their own.
 _WALK_THROUGHS = """
     how-to-export how-to-intercept how-to-record-and-replay how-to-ros2 how-to-stone-soup how-to-write-a-part
-    tutorial-defence tutorial-driving tutorial-first-attack tutorial-own-data
+    tutorial-defence tutorial-driving tutorial-first-attack tutorial-own-data tutorial-own-detector
 """
 WALK_THROUGHS = [f"{name}.md" for name in _WALK_THROUGHS.split()]
 

@@ -17,14 +17,23 @@ from mast_zenoh.messages import codec
 from mast_zenoh.wiring.model import Wiring
 
 TOTAL, TOTAL_LONG = 4_000, 200_000
-SCENARIOS = {"baseline": (), "uncoordinated": ("attack_start_s=0.2",), "coordinated": ("attack_start_s=0.2",)}
+POINTS = "baseline with points"
+SCENARIOS = {
+    "baseline": (),
+    "uncoordinated": ("attack_start_s=0.2",),
+    "coordinated": ("attack_start_s=0.2",),
+    POINTS: (),
+}
 FRAMES = 6
 BEFORE = 3  # frames played before malformed messages arrive
 
 
 @cache
 def world(name: str):
-    return tiny(name, *SCENARIOS[name], infrastructure=2, frames=FRAMES)
+    lidars = dict(points=dict(lidar="VLP-16", clutter=None)) if name == POINTS else {}
+    scenario = name.partition(" ")[0]
+    edit = lambda content: content.update(lidars)  # noqa: E731
+    return tiny(scenario, *SCENARIOS[name], infrastructure=2, frames=FRAMES, edit=edit)
 
 
 @cache
@@ -82,7 +91,7 @@ def test_malformed_messages_are_lost_without_ending_a_node(fuzzing: Fuzzing) -> 
     for place, (name, node, _, _) in enumerate(inputs()):
         places.setdefault((name, node), []).append(place)
     roles = {world(name).nodes[node].role for name, node in places}
-    assert roles == {"agent", "broker", "command_center", "evaluator", "adversary", "coordinator"}
+    assert roles == {"agent", "detector", "broker", "command_center", "evaluator", "adversary", "coordinator"}
     total = 0
     for (name, node), here in places.items():
         bench = Bench(world(name), node)
@@ -117,7 +126,7 @@ def test_malformed_messages_are_lost_without_ending_a_node(fuzzing: Fuzzing) -> 
     assert total == planned
 
 
-@pytest.mark.parametrize("schema", ["clock", "status", "tracks", "collated", "directive", "truth"])
+@pytest.mark.parametrize("schema", ["clock", "status", "tracks", "collated", "directive", "truth", "points"])
 def test_malformed_messages_cover_many_kinds_of_errors(schema: str) -> None:
     """Guards the test above against payloads that all fail at the first byte."""
     reasons: set[str] = set()

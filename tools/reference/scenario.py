@@ -18,8 +18,10 @@ from mast_zenoh.fusion.input_limit import InputLimit
 from mast_zenoh.fusion.regions import ServedArea
 from mast_zenoh.metrics import AttributionLimits, Consistency, CutOff, Driving, Scorer
 from mast_zenoh.metrics.driving import BrakingRule
+from mast_zenoh.scenario import points
 from mast_zenoh.scenario.nodes import CONTROLS
 from mast_zenoh.scenario.reading import RunOptions
+from mast_zenoh.scenes.making.scanning import ScannedPoints
 from mast_zenoh.study import definition
 from mast_zenoh.study.search import plan
 from reference import linked, page, parameter_table, table
@@ -38,6 +40,11 @@ The configuration of every node may have these keys, and the parameters of its c
 the scene or from other parts, so that you can leave them out though they are required: `lidar`, `mobile` and `sensors`
 of agents, `surroundings` of adversaries, `adversaries` of the coordinator, names of agents, all of links (see `links`),
 and of the simulator all but `take_over_s`, `hold_s`, `braking` and `limits` (see `world`)."""
+
+
+_POINTS = """\
+How the lidars of all agents are scanned, and what finds objects in their points: see
+[explanation-points.md](explanation-points.md) and [tutorial-own-detector.md](tutorial-own-detector.md)."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,7 @@ def parts() -> Iterator[Part]:
     every = Parameter("every_frame", "False", "", words["every_frame"])
     yield Part("### `ros2`, with its plugin", _text(Connection), (*parameters_of(Connection), every))
     yield Part("### `tls` of `ros2`", _text(Tls), parameters_of(Tls))
+    yield Part("### `points`", _POINTS, points_parameters())
     yield Part("## Nodes", _NODES, keys=CONTROLS)
     for cls in node_classes():
         yield Part(f"### `{cls.role}`: {cls.__name__}", _text(cls), parameters_of(cls, [Evaluation]))
@@ -85,6 +93,13 @@ def parts() -> Iterator[Part]:
 def scenario_page() -> str:
     """The keys of scenarios, studies and hosts files, from the code that reads them."""
     return page("Scenarios, studies and hosts files", "the code that reads them", _INTRODUCTION, map(_section, parts()))
+
+
+def points_parameters() -> tuple[Parameter, ...]:
+    """The keys of `points` of a scenario: of the scans, and where objects are detected."""
+    scans = (parameter for parameter in parameters_of(ScannedPoints) if parameter.name in points.SCANS)
+    defaults = points.OTHERS.items()
+    return (*scans, *(Parameter(key, repr(value), "", points.KEYS[key]) for key, value in defaults))
 
 
 def node_classes() -> list[Any]:
