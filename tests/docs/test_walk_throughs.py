@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import venv
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +99,100 @@ def test_the_tutorial_on_own_data_works_as_written(tmp_path: Path) -> None:
     for name, picture in pictures.items():
         missed, false = picture["fn"]["mean"], picture["fp"]["mean"]
         assert f"{name:10}{missed:5.1f} missed, {false:4.1f} false objects per frame" in printed
+
+
+# -- the tutorial on detectors -----------------------------------------------------------------------------------------
+
+DETECTOR = page("tutorial-own-detector").split("\n## ")
+#: In place of PyTorch, which no test machine has: what the page uses of it.
+TORCH = """
+import contextlib
+
+import numpy as np
+
+float32, no_grad, set_num_threads = np.float32, contextlib.nullcontext, print
+
+
+class Tensor:
+    def __init__(self, data):
+        self.data = data
+
+    def numpy(self):
+        return np.asarray(self.data, np.float32)
+
+
+def tensor(values, dtype=np.float32):
+    return Tensor(np.asarray(values, dtype))
+
+
+def full(shape, value):
+    return tensor(np.full(shape, value))
+
+
+class nn:
+    class Linear:
+        def __init__(self, n_in, n_out):
+            self.weight, self.bias = Tensor(None), Tensor(None)
+
+        def __call__(self, x):
+            return x @ self.weight.data.numpy().T + self.bias.data.numpy()
+
+    class Sequential:
+        def __init__(self, *steps):
+            self.steps = steps
+
+        def __call__(self, x):
+            x = x.numpy()
+            for step in self.steps:
+                x = step(x)
+            return Tensor(x)
+
+    @staticmethod
+    def ReLU():
+        return lambda x: np.maximum(x, 0)
+
+    @staticmethod
+    def Sigmoid():
+        return lambda x: 1 / (1 + np.exp(-x))
+"""
+
+
+def parts_of_detectors(folder: Path, *numbers: int, least: int) -> Path:
+    """Play these parts of the page, and the first, which writes the detector."""
+    return play_page("\n".join(DETECTOR[number] for number in (1, *numbers)), folder, least)
+
+
+@pytest.mark.mesh
+def test_the_tutorial_on_detectors_works_as_written_and_its_table_has_the_measured_numbers(tmp_path: Path) -> None:
+    folder = parts_of_detectors(tmp_path, 2, 3, 4, least=6)
+    printed = (folder / "printed").read_text()
+    assert re.search(r"^20 scans, \d{3} cars, \d+\.\d ms a scan$", printed, flags=re.M)
+    assert "made of" in printed, "points become a false object"
+    for run, name in (("mine", "`Groups`"), ("shipped", "`ClusterDetector`, the shipped one")):
+        ego = json.loads((folder / run / "metrics.json").read_text())["agents"]["ego"]["tracks"]
+        row = f"| {name} | {ego['precision']['mean']:.2f} | {ego['recall']['mean']:.2f} |"
+        assert row in DETECTOR[2]
+
+
+@pytest.mark.mesh
+def test_the_tutorial_on_detectors_runs_a_network_in_onnx(tmp_path: Path) -> None:
+    pytest.importorskip("onnx", reason="the package that writes the network is not installed")
+    pytest.importorskip("onnxruntime", reason="the runtime of ONNX is not installed")
+    folder = parts_of_detectors(tmp_path, 5, least=4)
+    assert json.loads((folder / "onnx/results/detector_ego/results.json").read_text())["detections"] > 100
+
+
+@pytest.mark.mesh
+def test_the_tutorial_on_detectors_runs_a_network_in_an_environment_of_its_own(tmp_path: Path) -> None:
+    venv.create(tmp_path / ".venv-torch", symlinks=True)
+    (site,) = (tmp_path / ".venv-torch").glob("lib/python3*/site-packages")
+    (site / "torch.py").write_text(TORCH)
+    (site / "installed.pth").write_text("\n".join(path for path in sys.path if path.endswith("site-packages")))
+    (commands,) = re.findall(r"^```console\n\$ python -m venv .*?^```$", DETECTOR[6], flags=re.S | re.M)
+    DETECTOR[6] = DETECTOR[6].replace(commands, "")
+    folder = parts_of_detectors(tmp_path, 6, least=4)
+    assert json.loads((folder / "torch/results/detector_ego/results.json").read_text())["detections"] > 100
+    assert json.loads((folder / "torch/run.json").read_text())["status"] == "ok"
 
 
 # -- the tutorial on driving -------------------------------------------------------------------------------------------

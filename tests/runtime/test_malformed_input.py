@@ -30,10 +30,11 @@ BEFORE = 3  # frames played before malformed messages arrive
 
 @cache
 def world(name: str):
-    lidars = dict(points=dict(lidar="VLP-16", clutter=None)) if name == POINTS else {}
-    scenario = name.partition(" ")[0]
-    edit = lambda content: content.update(lidars)  # noqa: E731
-    return tiny(scenario, *SCENARIOS[name], infrastructure=2, frames=FRAMES, edit=edit)
+    def edit(content):
+        if name == POINTS:
+            content["points"] = dict(lidar="VLP-16", clutter=None)
+
+    return tiny(name.partition(" ")[0], *SCENARIOS[name], infrastructure=2, frames=FRAMES, edit=edit)
 
 
 @cache
