@@ -31,7 +31,10 @@ html_css_files = ["site.css"]
 
 # The kind of a page: how its name begins, or else the list that has it.
 KINDS = {
-    "Tutorials": ("tutorial-", "tutorial-first-attack tutorial-defence tutorial-driving tutorial-own-data tutorial-own-detector"),
+    "Tutorials": (
+        "tutorial-",
+        "tutorial-first-attack tutorial-defence tutorial-driving tutorial-own-data tutorial-own-detector",
+    ),
     "How-to guides": ("how-to-", "troubleshooting"),
     "Explanation": ("explanation-", "known_limits roadmap"),
     "Results": ("results/", ""),

@@ -225,7 +225,7 @@ class Resolved:
         )
 
     def refuse_interpreters(self, where: str) -> None:
-        """Raise ConfigurationError for a node with an interpreter of its own. where: why it cannot have one, in words"""
+        """Raise ConfigurationError for a node with an interpreter of its own. where: a place without, in words"""
         for name, spec in self.nodes.items():
             if spec.python:
                 raise ConfigurationError(

@@ -40,8 +40,8 @@ CONTROLS = {
     "on_exit": f"what the run does when the node's process ends: {', '.join(ON_EXIT)}; by default continue for the "
     f"roles {', '.join(_DEFAULT_ON_EXIT)}, and fail for all others",
     "role": "of the node, in `nodes`",
-    "python": "an interpreter of the node's own, such as .venv-torch/bin/python next to the scenario, in whose environment "
-    "the same mast-zenoh is installed; only as processes of this machine",
+    "python": "an interpreter of the node's own, such as .venv-torch/bin/python next to the scenario, in whose "
+    "environment the same mast-zenoh is installed; only as processes of this machine",
 }
 
 

@@ -169,8 +169,8 @@ def test_the_tutorial_on_detectors_works_as_written_and_its_table_has_the_measur
     assert re.search(r"^20 scans, \d{3} cars, \d+\.\d ms a scan$", printed, flags=re.M)
     assert "made of" in printed, "points become a false object"
     for run, name in (("mine", "`Groups`"), ("shipped", "`ClusterDetector`, the shipped one")):
-        ego = json.loads((folder / run / "metrics.json").read_text())["agents"]["ego"]["tracks"]
-        row = f"| {name} | {ego['precision']['mean']:.2f} | {ego['recall']['mean']:.2f} |"
+        ego = json.loads((folder / run / "metrics.json").read_text())["agents"]["ego"]["local"]
+        row = f"| {name} | {ego['precision']:.2f} | {ego['recall']:.2f} |"
         assert row in DETECTOR[2]
 
 

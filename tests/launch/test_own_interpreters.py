@@ -67,7 +67,9 @@ def test_an_interpreter_without_mast_is_named_with_the_reason(tmp_path: Path) ->
 
 def test_an_interpreter_with_another_mast_is_named_with_both_versions(tmp_path: Path) -> None:
     other = script(tmp_path, "echo '0.0.9 (sources 012345)'")
-    with pytest.raises(VersionMismatch, match=r"broker\.python: .* has mast-zenoh 0\.0\.9 .*, expected 0\.1\.0 \(sources"):
+    with pytest.raises(
+        VersionMismatch, match=r"broker\.python: .* has mast-zenoh 0\.0\.9 .*, expected 0\.1\.0 \(sources"
+    ):
         check_interpreters(resolved(str(other)).nodes)
     check_interpreters(resolved(sys.executable).nodes)
 

@@ -71,7 +71,9 @@ def file(tmp_path: Path) -> str:
 
 def scores(folder: Path) -> list[float]:
     """Of the detections of the ego, frame by frame; nan for none."""
-    found = [codec.decode(each.payload, each.message).body for each in read(folder) if each.wire.endswith("/detections")]
+    found = [
+        codec.decode(each.payload, each.message).body for each in read(folder) if each.wire.endswith("/detections")
+    ]
     return [float(body["score"][0]) if len(body["score"]) else np.nan for body in found]
 
 
