@@ -117,3 +117,12 @@ def test_a_detector_that_returns_rubbish_finds_nothing_and_fails_the_run_at_the_
     assert entry["exception"] == "ValueError: Rubbish.detect: returned NoneType, expected Detections"
     assert "detector_ego" in output
     assert np.isnan(scores(run.out)).all()
+
+
+def test_in_real_time_a_run_goes_on_without_a_detector_that_crashed(launch, file: str) -> None:
+    run: Launched = launch(file, "--set", "detector=Crashing", "--mode", "realtime", "--frames", "20")
+    run.ended()
+    record = run.record()
+    assert record["status"] == "ok"
+    assert "detector_ego" in {each["node"] for each in record["churn"]}
+    assert record["nodes"]["detector_ego"]["ended"] == "exit code 3"
