@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from mast_zenoh.config import registry
+from mast_zenoh.config import bundle, registry
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.scenes.making.scanning import ScannedPoints
 from mast_zenoh.scenes.recording import Recording
@@ -96,8 +96,11 @@ def detectors(options: Mapping[str, Any], recording: Recording) -> Iterator[tupl
     """Yield (name, configuration) of the node that detects objects for each agent, if nodes do."""
     if options and options["detected_by"] == "detector":
         late = {"late_frames": options["late_frames"]} if options["late_frames"] else {}
+        node = options["node"]
+        if not {"file", "type"} & node.keys():  # a user's detector may well be in a file detector.py
+            node = {"file": str(bundle.ROOT / "nodes" / "detector.py"), **node}
         for agent in recording.agent_names:
-            yield f"detector_{agent}", {"agent": agent, "detector": options["detector"], **late, **options["node"]}
+            yield f"detector_{agent}", {"agent": agent, "detector": options["detector"], **late, **node}
 
 
 def rewrites(options: Mapping[str, Any]) -> list[str]:
