@@ -6,6 +6,7 @@ frame        one frame of a run, and its objects, outcomes, scores and manipulat
 evaluated    what the evaluator says about frames: outcomes, scores, changes
 recorded     the frames of a finished run, from its recording
 messages     recorded messages, decoded, and their states of objects as tables
+scans        recorded scans of lidars by frame, as their detectors received them
 observability  which lies of a run an honest agent could have noticed
 live/        a passive observer of a running run, whose frames are the same
 routes       the estimate that is on each key of a wiring
