@@ -251,7 +251,7 @@ def test_short_names_of_a_plugin_are_shown_and_its_faults_named(tmp_path: Path) 
         ),
         f"scene check {tmp_path / 'unknown'}": (13, "expected the files of one of recording, av2,"),
         "run baseline --set scene=carla:x": (
-            *(10, "unknown name 'carla', expected one of NAME:PATH, intersection:SCENE_INDEX, ringroad:N_CARS, wrong:"),
+            *(10, "unknown name 'carla', expected one of NAME:PATH, intersection:SCENE_INDEX, ringroad:N_CARS, road:"),
         ),
     }
     for (words, (code, reason)), ended in zip(expected.items(), mast_each(site, *expected), strict=True):

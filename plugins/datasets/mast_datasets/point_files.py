@@ -9,7 +9,7 @@ import numpy as np
 
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.recorded_scans import MAX_POINTS
-from mast_zenoh.sensing.points import Points
+from mast_zenoh.sensing import Points
 
 #: m: no lidar reaches further.
 MAX_RANGE_M = 10_000.0

@@ -18,7 +18,7 @@ from mast_datasets.rosbag import PointsEntry
 from mast_datasets.rosbag_storage import MAX_MESSAGE_BYTES, Bag
 from mast_zenoh.errors import MessageError, SceneError
 from mast_zenoh.scenes.recorded_scans import MAX_POINTS
-from mast_zenoh.sensing.points import Points
+from mast_zenoh.sensing import Points
 
 #: Numbers of a PointField by its `datatype`.
 _KINDS: Mapping[int, str] = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}

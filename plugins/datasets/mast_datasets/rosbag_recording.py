@@ -31,8 +31,7 @@ from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.making.sensor_types import SensorSchedule
 from mast_zenoh.scenes.recorded_scans import RecordedScans
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Measurements, Recording, SceneAgent
-from mast_zenoh.sensing import Camera, LidarSensor, sensor_pose, to_sensor
-from mast_zenoh.sensing.points import Points
+from mast_zenoh.sensing import Camera, LidarSensor, Points, sensor_pose, to_sensor
 
 _MAX_FRAMES = 200_000
 _LEVEL = 1e-3  # cosine of the tilt of a sensor that looks straight down or up: yaws about its axis say nothing
