@@ -2,8 +2,8 @@
 
     python benchmarks/point_attacks.py [--scans 40]
 
-Prints the tables of docs/explanation-point-attacks.md. The street has a wall at 60 m, three cars, and 2 cm of noise.
-Detections are those of `ClusterDetector`.
+Prints tables, of which docs/explanation-points.md has a part. The street has a wall at 60 m, three cars, and 2 cm of
+noise. Detections are those of `ClusterDetector`.
 """
 
 from __future__ import annotations

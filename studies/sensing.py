@@ -1,7 +1,7 @@
 """How far attacks on a lidar get: points landed, detected, tracked, fused, and the brake of a driven car.
 
 The spoofer is on a car ahead of the ego, which keeps its distance. The detector finds clusters: curves of trained
-networks are beside ours in docs/explanation-point-attacks.md.
+networks are beside ours in docs/explanation-points.md.
 """
 
 from mast_zenoh.errors import ConfigurationError, nearest

@@ -1,7 +1,7 @@
 """Counts lidar returns of road users by range: ours, those of Embree, and real ones of Argoverse 2 logs.
 
-    python tools/points_on_target.py                          # the first table of docs/explanation-points.md
-    python tools/points_on_target.py /data/av2_logs/*         # its second: logs with annotations*.feather
+    python tools/points_on_target.py                          # of synthetic scans, as in docs/explanation-points.md
+    python tools/points_on_target.py /data/av2_logs/*         # and of logs with annotations*.feather
 
 Ours are beams that meet the shape; `Returns` loses some of them. Embree needs the packages embreex and trimesh.
 """

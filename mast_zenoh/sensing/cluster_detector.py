@@ -517,7 +517,7 @@ def boxes_of(clusters: Clusters, steepest: float) -> Detections:
     floor = clusters.of_each(np.minimum, clusters.whole[:, 2] - clusters.height) / 1000.0
     position = np.stack([*_plan(middle[:, 0], middle[:, 1], cosine, sine), floor + height / 2.0], axis=1)
     count = np.diff(clusters.start)
-    # These numbers are fitted to scans of our own (docs/explanation-point-detector.md).
+    # These numbers are fitted to scans of our own (docs/explanation-points.md).
     few = np.where(kind >= _CAR, 1.2, 0.2) / count
     plan = 0.06**2 + few[:, None] + (0.2 * missing) ** 2
     variance = np.concatenate([plan, (0.05**2 + 0.03 / count)[:, None]], axis=1)

@@ -54,7 +54,7 @@ class OcclusionCheck(PointCheck):
     detection of CARLO (Sun et al., USENIX Security 2020, section 6.1), whose attacks it reduces from 80 to 5.5 %. 1 for
     other classes, and for boxes that fewer than 5 beams meet.
 
-    least: 0 to 1; 0.8 refuses under 3 % of real cars (docs/explanation-point-attacks.md)
+    least: 0 to 1; 0.8 refuses under 3 % of real cars (docs/explanation-points.md)
     """
 
     def __init__(self, *, least: float = 0.8) -> None:
@@ -104,7 +104,7 @@ class ShadowCheck(PointCheck):
     (weights of Shadow-Catcher, Hau et al., ESORICS 2021, section 5.2). Plausibility is the share of the object's own
     points among these and its own. Theirs is over 94 % accurate.
 
-    least: 0 to 1; 0.85 refuses under 3 % of real cars (docs/explanation-point-attacks.md)
+    least: 0 to 1; 0.85 refuses under 3 % of real cars (docs/explanation-points.md)
     length_m: m, of the shadow that is looked at
     """
 
