@@ -149,6 +149,12 @@ def _changes(
         later = (after.header.time_ns - before.header.time_ns) * 1e-9
         yield {"effect": "restamped", "delay_s": later}
     schema = SCHEMAS[passage.message]
+    where = passage.subject, before.header.frame
+    if passage.message == "points":
+        if changed := [column.name for column in schema.columns if not _alike(before.body, after.body, column.name)]:
+            yield {"effect": "reframed", "columns": " ".join(changed)}
+        yield from _of_scan(before.body, after.body, where, poses)
+        return
     names = [column.name for column in schema.columns if column.shape[:1] == ("n",)]
     others = [c.name for c in schema.columns if c.name not in names]
     if not any(column.name == "position" and column.shape == ("n", 3) for column in schema.columns):
@@ -157,9 +163,46 @@ def _changes(
     if changed:
         effect = "slandered" if passage.message == "gossip" else "reframed"
         yield {"effect": effect, "columns": " ".join(changed)}
-    where = passage.subject, before.header.frame
     for i, j in _objects(before.body, after.body, names):
         yield from _object(before.body, after.body, names, i, j, where, poses)
+
+
+def _alike(a: Body, b: Body, name: str) -> bool:
+    return a[name].shape == b[name].shape and a[name].tobytes() == b[name].tobytes()
+
+
+def _of_scan(a: Body, b: Body, where: tuple[str, int], poses: Poses) -> Iterator[Row]:
+    """The objects that points make which were taken away, or added: beams that return from elsewhere do both."""
+    beams = [
+        {
+            (time.tobytes(), int(channel)): place
+            for time, channel, place in zip(body["time_s"], body["channel"], body["position"].tolist(), strict=True)
+        }
+        for body in (a, b)
+    ]
+    for effect, body, own, other in (("removed", a, *beams), ("inserted", b, *reversed(beams))):
+        places = [place for key, place in own.items() if key not in other or math.dist(place, other[key]) >= 0.3]
+        level = _turned(body["level_rotation"])
+        for group in _touching([level @ np.array(place) for place in places]):
+            low, high = np.min(group, axis=0), np.max(group, axis=0)
+            if len(group) < 5 or high[2] - low[2] < 0.25:
+                continue
+            middle = tuple(_world(level.T @ ((low + high) / 2.0), body, where, poses))
+            yield {"effect": effect, "before" if effect == "removed" else "after": middle}
+
+
+def _touching(places: list[np.ndarray]) -> Iterator[list[np.ndarray]]:
+    """Groups of places whose cells, seen from above, are the same or beside each other."""
+    cells: dict[tuple[int, int], list[np.ndarray]] = {}
+    for place in places:
+        cells.setdefault((math.floor(place[0] / 0.8), math.floor(place[1] / 0.8)), []).append(place)
+    while cells:
+        waiting, group = [next(iter(cells))], []
+        while waiting:
+            x, y = waiting.pop()
+            group += cells.pop((x, y), [])
+            waiting += [(x + i, y + j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (x + i, y + j) in cells]
+        yield group
 
 
 def _object(a: Body, b: Body, names: list[str], i: int, j: int, where: tuple[str, int], poses: Poses) -> Iterator[Row]:

@@ -44,7 +44,7 @@ def objects_of(points: Points, level: Floats) -> Iterator[tuple[Floats, int]]:
 
     level: (3, 3) active, to a frame with z up
     """
-    upright = points.turned(level).position.astype(np.float64)
+    upright = points.position.astype(np.float64) @ level.T
     for rows in _components(upright):
         if len(rows) >= LEAST_POINTS and np.ptp(upright[rows, 2]) >= LEAST_HEIGHT_M:
             yield level.T @ _middle(upright[rows]), len(rows)
