@@ -21,15 +21,17 @@ class Recorder(Node):
     """Records messages.
 
     log:    a path in the run folder
-    points: whether scans of lidars are recorded, too: a megabyte each
+    points: whether scans of lidars are recorded, too: a megabyte each; None: those on wires with an interposer, so that
+            what it did can be measured again
     """
 
     role = "recorder"
     inputs = {"everything": ANY}
 
-    def __init__(self, log: MessageLog, points: bool = False) -> None:
+    def __init__(self, log: MessageLog, points: bool | None = None) -> None:
         self.log = log
         self.points = points
+        self.intercepted: set[str] = set()  # keys of wires with points and an interposer
 
     def start(self, context: Context) -> None:
         """Open the log with all keys so far; nodes that are inserted later add theirs."""
@@ -38,6 +40,8 @@ class Recorder(Node):
 
     def rewired(self, context: Context) -> None:
         """Record a change of the wiring."""
+        scans = [wire for wire in context.wiring.wires if wire.message == "points" and wire.interposers]
+        self.intercepted = {leg.key for wire in scans for leg in wire.every_leg}
         self.log.add_event(RecordedEvent(REWIRED, context.frame, wiring=context.wiring.to_json()))
 
     def joined(self, node: str, role: str, context: Context) -> None:
@@ -50,8 +54,10 @@ class Recorder(Node):
 
     def on_everything(self, overheard: Overheard, context: Context) -> None:
         """Record a message, valid or not; of its body only completeness is checked."""
-        if overheard.wire.message == "points" and not self.points:
-            return
+        if overheard.wire.message == "points":
+            wanted = overheard.key in self.intercepted if self.points is None else self.points
+            if not wanted:
+                return
         payload = overheard.payload
         try:
             header = overheard.header

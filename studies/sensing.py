@@ -67,7 +67,7 @@ def study(
     for check in parse_choices(chosen["checks"], "checks"):
         refused = [] if check == "none" else [resolve_choice(check, PointCheck)]
         name = "" if check == "none" else short_name(check)
-        common = dict(lidar=lidar, checks=refused)
+        common = {"lidar": lidar, "checks": refused, "points.recorded": False}  # effects are in tables
         factors = dict(check=name, start_s=start_s)
         runs[f"no attack, {name or 'none'}"] = dict(
             scenario="spoofed",

@@ -135,7 +135,7 @@ def nodes_of(
     for name, config in _checked_configs(scenario.get("nodes", {}), f"{path}: nodes"):
         add(name, str(config.get("role", "")), config)
     if record:
-        scans = {"points": True} if lidars.get("recorded") else {}
+        scans = {} if lidars.get("recorded") is None else {"points": lidars["recorded"]}
         add("recorder", "recorder", {"log": MessageLog(), **scans})
     for name, spec in specs.items():
         integrity = _part(_part(spec.config, "pipeline"), "integrity")

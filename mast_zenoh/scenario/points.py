@@ -24,7 +24,7 @@ OTHERS: dict[str, Any] = {
     "detected_by": "detector",
     "late_frames": 0,
     "node": {},
-    "recorded": False,
+    "recorded": None,
 }
 KEYS = {
     "detector": "finds objects in the points, a `PointDetector`; each lidar has one of its own",
@@ -32,7 +32,7 @@ KEYS = {
     "agent; in the agent; or where the points are made, so that none are sent",
     "late_frames": "frames by which the detections of nodes are late; in real time, the time that they take is added",
     "node": "of the nodes that detect: keys that every node may have, such as `python`, and parameters of their class",
-    "recorded": "whether the recording has the points: 21 bytes each, before compression",
+    "recorded": "whether points are recorded, 21 bytes each before compression; None: on wires with an interposer",
 }
 
 
@@ -59,8 +59,10 @@ def described(path: Path, scenario: Mapping[str, Any]) -> dict[str, Any]:
     if type(late) is not int or late < 0 or (late and place != "detector"):
         expected = "a whole number from 0" if place == "detector" else "0, as detected_by is not detector"
         raise ConfigurationError(f"{path}: points.late_frames: found {late!r}, expected {expected}")
-    if type(complete["recorded"]) is not bool:
-        raise ConfigurationError(f"{path}: points.recorded: found {complete['recorded']!r}, expected True or False")
+    if complete["recorded"] not in (None, True, False):
+        raise ConfigurationError(
+            f"{path}: points.recorded: found {complete['recorded']!r}, expected True, False or None"
+        )
     return complete
 
 

@@ -1,6 +1,7 @@
 """Lidars return points, and detectors find objects in them: wherever that is done, the tracks are the same."""
 
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,9 @@ from mast_zenoh.attacks import Attack
 from mast_zenoh.attacks.attack import ObjectsUnchanged
 from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.messages.schemas import Message
+from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.scenario.points import PLACES
 from mast_zenoh.sensing.beams import MODELS
 from mast_zenoh.sensing.point_detector import PointDetector
@@ -147,10 +150,21 @@ def test_a_detector_that_returns_rubbish_fails_loudly_and_the_run_goes_on(place:
     assert len(tracks(run, "ego")) == FRAMES
 
 
-def test_points_are_recorded_only_on_request() -> None:
-    for wanted in (False, True):
-        recorder = resolved(record=True, recorded=wanted).nodes["recorder"]
-        assert recorder.config.get("points", False) is wanted
+@pytest.mark.parametrize(
+    ("wanted", "recorded"),
+    [(None, {"agent/ego/points"}), (False, set()), (True, {f"agent/{a}/points" for a in AGENTS})],
+)
+def test_points_are_recorded_where_they_are_intercepted_or_as_asked(
+    wanted: bool | None, recorded: set[str], tmp_path: Path
+) -> None:
+    def edit(content: dict[str, Any]) -> None:
+        content["points"] = dict(detector=dict(type="Everything"), lidar="VLP-16", recorded=wanted)
+        content["adversaries"] = dict(spoofer_1=dict(type="Adversary", agent="ego", attack=dict(type="Blinded")))
+        content["keyexpr"] = dict(map="testbed.toml", rewrites=["on_points.toml"])
+
+    InProcess(tiny(frames=2, record=True, edit=edit).in_folder(tmp_path)).run()
+    wires = {message.wire for message in read(tmp_path / "messages.mcap") if message.message == "points"}
+    assert wires == recorded
 
 
 def test_agents_know_the_field_of_view_of_the_lidar_that_they_have() -> None:
