@@ -13,7 +13,7 @@ from typing import Any
 import imageio_ffmpeg
 import pytest
 from containers import base
-from launched import eventually
+from launched import eventually, shared_packages
 from page_commands import play_page
 from PIL import Image
 
@@ -187,7 +187,7 @@ def test_the_tutorial_on_detectors_runs_a_network_in_an_environment_of_its_own(t
     venv.create(tmp_path / ".venv-torch", symlinks=True)
     (site,) = (tmp_path / ".venv-torch").glob("lib/python3*/site-packages")
     (site / "torch.py").write_text(TORCH)
-    (site / "installed.pth").write_text("\n".join(path for path in sys.path if path.endswith("site-packages")))
+    (site / "installed.pth").write_text(shared_packages())
     (commands,) = re.findall(r"^```console\n\$ python -m venv .*?^```$", DETECTOR[6], flags=re.S | re.M)
     DETECTOR[6] = DETECTOR[6].replace(commands, "")
     folder = parts_of_detectors(tmp_path, 6, least=4)

@@ -2,13 +2,12 @@
 
 import json
 import subprocess
-import sys
 import venv
 from pathlib import Path
 
 import numpy as np
 import pytest
-from launched import MAST, Launched
+from launched import MAST, Launched, shared_packages
 
 from mast_zenoh.messages import codec
 from mast_zenoh.run_folder.recording.reader import read
@@ -80,7 +79,7 @@ def scores(folder: Path) -> list[float]:
 def test_a_detector_runs_in_the_environment_of_its_own_interpreter(launch, file: str, tmp_path: Path) -> None:
     venv.create(tmp_path / "own-env", symlinks=True, with_pip=False)
     (site,) = (tmp_path / "own-env").glob("lib/python3*/site-packages")
-    (site / "shared.pth").write_text("\n".join(path for path in sys.path if path.endswith("site-packages")))
+    (site / "shared.pth").write_text(shared_packages())
     run: Launched = launch(file, "--set", "python=own-env/bin/python", "--frames", str(FRAMES))
     run.ended()
     assert set(scores(run.out)) == {0.25}

@@ -16,6 +16,7 @@ import psutil
 import pytest
 import zenoh
 
+from mast_zenoh.config import bundle
 from mast_zenoh.mesh.session import open_client
 
 MAST = (sys.executable, "-m", "mast_zenoh")
@@ -141,3 +142,8 @@ def alive(pids: list[int]) -> list[int]:
             return False
 
     return [pid for pid in pids if runs(pid)]
+
+
+def shared_packages() -> str:
+    """A `.pth` file by which another environment has our sources, and what is installed in ours."""
+    return "\n".join([str(bundle.ROOT), *(path for path in sys.path if path.endswith("site-packages"))])

@@ -141,6 +141,7 @@ SCENES: dict[str, Callable[[], scenes.Scene]] = {
     "RecordingFile": lambda: scenes.RecordingFile(path=str(saved())),
     "OwnDetections": replayed,
     "Intersection": scenes.Intersection,
+    "StraightRoad": lambda: scenes.StraightRoad(case="leader"),
 }
 
 
