@@ -28,7 +28,7 @@ from mast_zenoh.integrity.views import UNKNOWN_SPACE, SweptView, view_columns
 from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.sensing import LidarSensor, sensor_pose, to_world
-from mast_zenoh.sensing.point_detector import PointDetector, detected, nothing_detected
+from mast_zenoh.sensing.point_detector import PointDetector, detected_or_nothing
 from mast_zenoh.tracking.kalman import predicted
 from mast_zenoh.v2x.tracks import orientation_of, rotation_of
 from mast_zenoh.wiring.model import part_of
@@ -190,11 +190,7 @@ class Agent(Node):
     def on_points(self, received: Received, context: Context) -> None:
         """The points of its lidar: what it detects in them counts as its detections; nothing if its detector fails."""
         assert self.detector is not None  # otherwise no wire leads here
-        try:
-            columns = detected(self.detector, received.body)
-        except Exception as error:  # it may be a user's
-            context.failed("detect", error)
-            columns = nothing_detected(received.body)
+        columns = detected_or_nothing(self.detector, received.body, context.failed)
         self.on_detections(received._replace(message=received.message._replace(body=columns)), context)
 
     def on_sweep(self, received: Received, context: Context) -> None:

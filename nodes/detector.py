@@ -10,7 +10,7 @@ from typing import Any
 
 from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Node, Received
-from mast_zenoh.sensing.point_detector import PointDetector, detected, nothing_detected
+from mast_zenoh.sensing.point_detector import PointDetector, detected_or_nothing, nothing_detected
 
 
 class DetectorNode(Node):
@@ -43,11 +43,7 @@ class DetectorNode(Node):
 
         Where the detector fails, which fails the run, there are none.
         """
-        try:
-            columns = detected(self.detector, received.body)
-        except Exception as error:  # it may be a user's
-            context.failed("detect", error)
-            columns = nothing_detected(received.body)
+        columns = detected_or_nothing(self.detector, received.body, context.failed)
         self.counts["scans"] += 1
         self.counts["points"] += len(received.body["position"])
         self.counts["detections"] += len(columns["yaw"])

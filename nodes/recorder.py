@@ -12,7 +12,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.mesh.hosting import main
 from mast_zenoh.messages import codec
 from mast_zenoh.node import Context, Node, Overheard
-from mast_zenoh.run_folder.recording.format import JOINED, LEFT, REWIRED, RecordedEvent
+from mast_zenoh.run_folder.recording.format import JOINED, LEFT, REWIRED, RecordedEvent, records_scans
 from mast_zenoh.run_folder.recording.writer import MessageLog
 from mast_zenoh.wiring.model import ANY
 
@@ -31,7 +31,7 @@ class Recorder(Node):
     def __init__(self, log: MessageLog, points: bool | None = None) -> None:
         self.log = log
         self.points = points
-        self.intercepted: set[str] = set()  # keys of wires with points and an interposer
+        self.scans: set[str] = set()  # keys whose scans are recorded
 
     def start(self, context: Context) -> None:
         """Open the log with all keys so far; nodes that are inserted later add theirs."""
@@ -40,8 +40,8 @@ class Recorder(Node):
 
     def rewired(self, context: Context) -> None:
         """Record a change of the wiring."""
-        scans = [wire for wire in context.wiring.wires if wire.message == "points" and wire.interposers]
-        self.intercepted = {leg.key for wire in scans for leg in wire.every_leg}
+        recorded = [wire for wire in context.wiring.wires if records_scans(wire, self.points)]
+        self.scans = {leg.key for wire in recorded for leg in wire.every_leg}
         self.log.add_event(RecordedEvent(REWIRED, context.frame, wiring=context.wiring.to_json()))
 
     def joined(self, node: str, role: str, context: Context) -> None:
@@ -54,10 +54,8 @@ class Recorder(Node):
 
     def on_everything(self, overheard: Overheard, context: Context) -> None:
         """Record a message, valid or not; of its body only completeness is checked."""
-        if overheard.wire.message == "points":
-            wanted = overheard.key in self.intercepted if self.points is None else self.points
-            if not wanted:
-                return
+        if overheard.wire.message == "points" and overheard.key not in self.scans:
+            return
         payload = overheard.payload
         try:
             header = overheard.header

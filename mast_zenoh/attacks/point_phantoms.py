@@ -89,8 +89,8 @@ class InjectedPoints(PointAttack):
         self._parts = Parts.of(kind, np.array([self.size]))
 
     def _forged(self, scan: AttackedScan) -> Points:
-        nearest = min(4.0, self.distance_m)
-        distance = max(self.distance_m - self.closing_mps * (scan.time_s - self.start_s), nearest) + self.size[0] / 2
+        closest = min(4.0, self.distance_m)
+        distance = max(self.distance_m - self.closing_mps * (scan.time_s - self.start_s), closest) + self.size[0] / 2
         ahead = np.arctan2(*(scan.lidar[1] @ scan.towards)[1::-1]) + np.radians(self.angle_deg)
         height = ground_below(scan.points, scan.lidar[1]) + self.size[2] / 2
         middle = np.array([distance * np.cos(ahead), distance * np.sin(ahead), height])
@@ -199,11 +199,7 @@ class Mirror(PointAttack):
         sector = scan.sector(float(np.arctan2(middle[1], middle[0])), half)
         if sector is None:
             return scan.points
-        azimuth, elevation = sector.angles()
-        flat = np.broadcast_to(np.cos(elevation), azimuth.shape)
-        rise = np.broadcast_to(np.sin(elevation), azimuth.shape)
-        beam = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), rise], axis=-1)
-        to_mirror = self._along(beam.reshape(-1, 3), middle, axes).reshape(azimuth.shape)
+        to_mirror = self._along(sector.directions().reshape(-1, 3), middle, axes).reshape(sector.row.shape)
         meets = to_mirror < sector.range_m
         real = scan.points.position.astype(np.float64)
         beyond = (real - middle) @ axes[:, 0]
@@ -211,7 +207,7 @@ class Mirror(PointAttack):
         length = np.linalg.norm(mirrored, axis=1)
         shown = (beyond * (middle @ axes[:, 0]) < 0.0) & (length <= scan.points.range_m().max())
         shown &= self._along(mirrored, middle, axes) < 1.0
-        seen = np.full(azimuth.shape, np.inf)
+        seen = np.full(sector.row.shape, np.inf)
         firing, channel, looks = sector.beams_at(mirrored[shown])
         np.minimum.at(seen, (firing[looks], channel[looks]), length[shown][looks])
         return sector.changed(meets, seen, float(np.median(scan.points.intensity)))

@@ -455,7 +455,7 @@ class Host:
         if not 0.0 <= after_s <= MAX_DELAY_S:
             raise ConfigurationError(f"{self.name}: after_s: found {after_s}, expected 0 to {MAX_DELAY_S:.0f}")
         if not self.clocked:
-            raise ConfigurationError(f"{self.name}: after_s: a node without the clock cannot delay a message")
+            raise ConfigurationError(f"{self.name}: after_s: a node that does not receive the clock delays no message")
         delay_ns = round(after_s * 1e9)
         if self._now is not None:
             due = self._handler_time_ns + delay_ns

@@ -15,6 +15,7 @@ from mast_zenoh.errors import MessageError
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.metrics.record import Series
+from mast_zenoh.run_folder.recording.format import records_scans
 from mast_zenoh.run_folder.recording.reader import read
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.routes import POINTS, scan_keys
@@ -56,11 +57,10 @@ class LidarScan(NamedTuple):
 def scanned_agents(run: Run) -> tuple[str, ...]:
     """The agents of a finished run whose scans were recorded."""
     recorder = run.node_spec("recorder").get("config")
-    if run.files.is_live or not isinstance(recorder, dict) or recorder.get("points") is not True:
+    if run.files.is_live or not isinstance(recorder, dict):
         return ()
-    with_points = {
-        each.agent for _, wiring in run.files.wirings for of in scan_keys(wiring, run.agents).values() for each in of
-    }
+    wires = [wire for _, wiring in run.files.wirings for wire in wiring.wires]
+    with_points = {wire.subject for wire in wires if records_scans(wire, recorder.get("points"))}
     return tuple(agent for agent in run.agents if agent in with_points)
 
 

@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
+from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Detections, Floats
 from mast_zenoh.sensing.point_detector import PointDetector
 from mast_zenoh.sensing.points import Points
@@ -77,7 +78,9 @@ def penetration(points: Points, found: Detections) -> Floats:
     bearing = np.arctan2(points.position[:, 1], points.position[:, 0])
     for place, row in enumerate(solid):
         aside = np.hypot(*size[place, :2]) / 2 / max(float(np.hypot(*middle[place, :2])), 0.1)
-        near = np.flatnonzero(np.abs(_wrapped(bearing - np.arctan2(middle[place, 1], middle[place, 0]))) <= 1.6 * aside)
+        near = np.flatnonzero(
+            np.abs(wrap_angle(bearing - np.arctan2(middle[place, 1], middle[place, 0]))) <= 1.6 * aside
+        )
         beam = points.position[near] / np.maximum(range_m[near, None], 1e-9)
         one = slice(place, place + 1)
         enter, leave = (each[:, 0] for each in chords(beam, middle[one], size[one], yaw[one]))
@@ -90,10 +93,6 @@ def penetration(points: Points, found: Detections) -> Floats:
 def _reach(whole: Floats, body: Floats) -> float:
     """m before the middle of a body at which its own surface may be."""
     return float(np.hypot(*(whole[:2] - body[:2]))) + _BOX_ERROR_M
-
-
-def _wrapped(angle: Floats) -> Floats:
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
 class ShadowCheck(PointCheck):
@@ -131,7 +130,7 @@ class ShadowCheck(PointCheck):
             deep = np.abs(np.cos(turned)) * size[0] + np.abs(np.sin(turned)) * size[1]
             away = float(np.hypot(*middle[:2]))
             near, far = max(away - deep / 2, 0.1), away + deep / 2
-            aside = np.abs(_wrapped(bearing - np.arctan2(middle[1], middle[0]))) / np.arctan2(across / 2, away)
+            aside = np.abs(wrap_angle(bearing - np.arctan2(middle[1], middle[0]))) / np.arctan2(across / 2, away)
             bottom = middle[2] - size[2] / 2
             top, low = (bottom + self.body * size[2]) / far, (bottom + 0.3 * size[2]) / near
             within = (aside <= self.inner) & (slope <= max(top, low)) & (slope >= min(top, low))

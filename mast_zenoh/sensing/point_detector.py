@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,17 @@ def detected(detector: PointDetector, scan: Mapping[str, NDArray[Any]]) -> dict[
         raise ValueError(f"{type(detector).__name__}.detect: {problem}")
     own = found.columns() | {"position": found.position @ level, "covariance": level.T @ found.covariance @ level}
     return nothing_detected(scan) | own
+
+
+def detected_or_nothing(
+    detector: PointDetector, scan: Mapping[str, NDArray[Any]], failed: Callable[[str, BaseException], None]
+) -> dict[str, NDArray[Any]]:
+    """As `detected`, but a detector that fails, which may be a user's, finds nothing. failed: of a node's context"""
+    try:
+        return detected(detector, scan)
+    except Exception as error:
+        failed("detect", error)
+        return nothing_detected(scan)
 
 
 def nothing_detected(scan: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

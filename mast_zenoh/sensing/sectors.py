@@ -125,6 +125,12 @@ class Sector:
         """(f, c) rad azimuth and (c,) rad elevation of the beams, in the frame of the lidar when it fired."""
         return wrap_angle(self.azimuth[:, None] + self.calibration.offset), self.calibration.elevation
 
+    def directions(self) -> Floats:
+        """(f, c, 3) unit vectors along the beams, in the frame of the lidar when it fired."""
+        azimuth, elevation = self.angles()
+        flat, rise = np.cos(elevation), np.broadcast_to(np.sin(elevation), azimuth.shape)
+        return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), rise], axis=-1)
+
     def beams_at(self, position: Floats) -> tuple[Ints, Ints, Bools]:
         """(n,) firing and channel nearest to the direction of positions (n, 3) m; (n,) whether a beam looks there."""
         azimuth = np.arctan2(position[:, 1], position[:, 0])
@@ -162,11 +168,7 @@ class Sector:
     def changed(self, which: Bools, range_m: Floats, intensity: float = 1.0) -> Points:
         """The scan after some of these beams, (f, c), returned from other distances (f, c) m; inf: not at all."""
         firing, channel = np.nonzero(which & np.isfinite(range_m))
-        azimuth, elevation = self.angles()
-        flat = np.cos(elevation[channel])
-        aside = azimuth[firing, channel]
-        beam = np.stack([flat * np.cos(aside), flat * np.sin(aside), np.sin(elevation[channel])], axis=1)
-        time = self.time_s[firing]
+        beam, time = self.directions()[firing, channel], self.time_s[firing]
         new = Points(
             self.motion.deskewed(beam * range_m[firing, channel, None], time),
             np.full(len(time), intensity, np.float32),

@@ -11,7 +11,7 @@ from mast_zenoh.messages import user_types
 from mast_zenoh.messages.layout import DTYPE_NAME
 from mast_zenoh.messages.schemas import BUILT_IN, Column, Schema
 from mast_zenoh.run_folder import parse_json
-from mast_zenoh.wiring.model import wire_key
+from mast_zenoh.wiring.model import Wire, wire_key
 
 PROFILE = "mast-zenoh"
 ENCODING = "msgpack"
@@ -27,6 +27,11 @@ MALFORMED = "@malformed"
 def wire_and_key(key: str) -> tuple[str, str]:
     """Sort key of keys: by wire, each before its tap legs."""
     return wire_key(key), key
+
+
+def records_scans(wire: Wire, points: bool | None) -> bool:
+    """Whether a wire is one of points that is recorded. points: whether all are; None: those with an interposer"""
+    return wire.message == "points" and (bool(wire.interposers) if points is None else points)
 
 
 def metadata(key: str, message: str, publisher: str, *, malformed: bool) -> dict[str, str]:

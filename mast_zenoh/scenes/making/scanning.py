@@ -37,7 +37,7 @@ from mast_zenoh.streams import stream
 
 #: m, taken up by the pole of an agent.
 _POLE_M = 0.5
-#: m, within which objects tell the height of the ground at a lidar.
+#: m, within which objects tell the height of the ground at a lidar; and around all of them, where clutter may be.
 _NEAR_M = 50.0
 
 
@@ -113,14 +113,12 @@ class Scanner:
         self._period_s = recording.period_ns * 1e-9
         self._beams = [self._beams_of(agent) for agent in recording.agents]
         self._recorded = recording.scans
+        self._mounts = [quaternion_from_rotation(agent.sensor.mount_rotation) for agent in recording.agents]
         clutter = points.clutter or Clutter(hedges=0, kerbs=0, signs=0, poles=0)
-        self._still = clutter.place(
-            *_occupied(recording),
-            recording.buildings,
-            _extent(recording),
-            stream(seed, "clutter"),
-            _ground_m(recording.truth),
-        )
+        occupied, radius = _occupied(recording)
+        extent = np.stack([occupied.min(axis=0) - _NEAR_M, occupied.max(axis=0) + _NEAR_M])
+        random, ground_m = stream(seed, "clutter"), _ground_m(recording.truth)
+        self._still = clutter.place(occupied, radius, recording.buildings, extent, random, ground_m)
         self._walls = Walls.of_buildings(recording.buildings, recording.building_height).joined(self._still.kerbs)
         self._headings: tuple[Mapping[int, float], Floats] = {}, np.zeros(0)  # of the last frame: objects, lidars
 
@@ -186,7 +184,7 @@ class Scanner:
             level = rotation_from_yaw(-float(facing[row])) @ active
             frames = {
                 "mount_position": agent.sensor.mount_position,
-                "mount_rotation": quaternion_from_rotation(agent.sensor.mount_rotation),
+                "mount_rotation": self._mounts[row],
                 "level_rotation": quaternion_from_rotation(level),
             }
             if (points := self._recorded_scan(frame, row)) is not None:
@@ -232,9 +230,3 @@ def _occupied(recording: Recording) -> tuple[Floats, Floats]:
     truth, agents = recording.truth, recording.agent_position[:, :, :2].reshape(-1, 2)
     radius = np.hypot(truth.size[:, 0], truth.size[:, 1]) / 2.0
     return np.concatenate([truth.position[:, :2], agents]), np.concatenate([radius, np.full(len(agents), _POLE_M)])
-
-
-def _extent(recording: Recording) -> Floats:
-    """(2, 2) m, the lowest and the highest x and y of where anything is."""
-    occupied, _ = _occupied(recording)
-    return np.stack([occupied.min(axis=0) - _NEAR_M, occupied.max(axis=0) + _NEAR_M])

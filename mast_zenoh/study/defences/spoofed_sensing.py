@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import rotation_from_quaternion
-from mast_zenoh.arrays.states import Floats
+from mast_zenoh.arrays.states import Detections, Floats
+from mast_zenoh.attacks.attack import sensor_of
 from mast_zenoh.metrics.causes import KINDS
 from mast_zenoh.metrics.estimates import LOCAL, MISSION
 from mast_zenoh.metrics.study_results import NAN, Row
 from mast_zenoh.run_folder.tables import from_arrow
 from mast_zenoh.runs.messages import messages
-from mast_zenoh.sensing import sensor_pose
+from mast_zenoh.sensing import to_world
 from mast_zenoh.show.findings.words import of_study, paragraph
 from mast_zenoh.show.number_text import DASH, measured, percent
 from mast_zenoh.show.tables.text_table import ResultTables, numbers_of_rows, shown, table_of_rows
@@ -191,7 +191,5 @@ def _detections(run: Run, wire: str) -> dict[int, Floats]:
     places = {}
     for frame, body in bodies["detections"].items():
         if (pose := bodies["pose"].get(frame)) is not None:
-            turns = rotation_from_quaternion(pose["rotation"]), rotation_from_quaternion(body["mount_rotation"])
-            position, rotation = sensor_pose(pose["position"], turns[0], body["mount_position"], turns[1])
-            places[frame] = (position + body["position"] @ rotation.T)[:, :2]
+            places[frame] = to_world(Detections.from_columns(body), *sensor_of(body, pose)).position[:, :2]
     return places
