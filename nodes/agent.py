@@ -28,6 +28,7 @@ from mast_zenoh.integrity.views import UNKNOWN_SPACE, SweptView, view_columns
 from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.sensing import LidarSensor, sensor_pose, to_world
+from mast_zenoh.sensing.free_space import swept
 from mast_zenoh.sensing.point_detector import PointDetector, detected_or_nothing
 from mast_zenoh.tracking.kalman import predicted
 from mast_zenoh.v2x.tracks import orientation_of, rotation_of
@@ -140,7 +141,8 @@ class Agent(Node):
         self.lidars = [lidar, *(sensor.lidar for sensor in sensors[1:])]
         self.members = ["detections", *(f"detections/{sensor.name}" for sensor in sensors[1:])]
         self.mobile = mobile
-        self.unused = ("points" if detector is None else "detections", *(() if acts else ("picture", "mission")))
+        sensed = ("points",) if detector is None else ("detections", "sweep")
+        self.unused = (*sensed, *(() if acts else ("picture", "mission")))
         self.status_every = status_every
         self.picture_age_ns = round(picture_age_s * 1e9)
         self.unsupported_variance = unsupported_std_m**2
@@ -157,8 +159,9 @@ class Agent(Node):
         self.poses: deque[tuple[int, Pose]] = deque(maxlen=late_frames + 1)  # of the latest frames, with their times
 
     def start(self, context: Context) -> None:
-        """Wait for the sensor's sweep in each frame, if there is one."""
-        if any(source.port == "sweep" for source in context.subscriptions.values()):
+        """Wait for the sensor's sweep in each frame, if there is one, or if it is measured in points for a view."""
+        told = any(source.port == "sweep" for source in context.subscriptions.values())
+        if told or (self.detector is not None and context.connected("view")):
             self.sensed.expected.add("sweep")
 
     def on_clock(self, received: Received, context: Context) -> None:
@@ -188,8 +191,14 @@ class Agent(Node):
             self.sense(member, received, context)
 
     def on_points(self, received: Received, context: Context) -> None:
-        """The points of its lidar: what it detects in them counts as its detections; nothing if its detector fails."""
+        """The points of its lidar: what it detects in them counts as its detections; nothing if its detector fails.
+
+        Free space is measured in them, too, if others get its view.
+        """
         assert self.detector is not None  # otherwise no wire leads here
+        if "sweep" in self.sensed.expected:
+            free = received.message._replace(body=swept(received.body, self.lidars[0]))
+            self.sense("sweep", received._replace(message=free), context)
         columns = detected_or_nothing(self.detector, received.body, context.failed)
         self.on_detections(received._replace(message=received.message._replace(body=columns)), context)
 

@@ -10,27 +10,30 @@ from typing import Any
 
 from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Node, Received
+from mast_zenoh.sensing import LidarSensor
+from mast_zenoh.sensing.free_space import swept
 from mast_zenoh.sensing.point_detector import PointDetector, detected_or_nothing, nothing_detected
 
 
 class DetectorNode(Node):
-    """Detects objects in the scans of an agent's lidar.
+    """Detects objects in the scans of an agent's lidar, and tells how far each direction is free in them.
 
     detector:    the algorithm
     agent:       whose lidar it is
+    lidar:       that lidar
     late_frames: frames after which it publishes what it has found, with the time of the scan: how late a slow detector
                  is. In lock-step nothing else makes it late; in real time, its own time comes on top.
     """
 
     role = "detector"
     inputs = {"clock": "clock", "points": "points"}
-    outputs = {"detections": "detections"}
+    outputs = {"detections": "detections", "sweep": "sweep"}
 
-    def __init__(self, detector: PointDetector, agent: str, late_frames: int = 0) -> None:
+    def __init__(self, detector: PointDetector, agent: str, lidar: LidarSensor, late_frames: int = 0) -> None:
         if late_frames < 0:
             raise ValueError(f"late_frames: found {late_frames}, expected 0 or more")
-        self.detector, self.agent, self.late_frames = detector, agent, late_frames
-        self.affects = {"points": {"detections": late_frames}}  # type: ignore[misc]  # depends on how it is configured
+        self.detector, self.agent, self.lidar, self.late_frames = detector, agent, lidar, late_frames
+        self.affects = {"points": {"detections": late_frames, "sweep": 0}}  # type: ignore[misc]  # depends on how it is configured
         self.found: deque[tuple[int, dict[str, Any]]] = deque()  # that wait: time of the scan, columns
         self.counts = {"scans": 0, "points": 0, "detections": 0}
         self.oldest_ns = 0
@@ -39,10 +42,13 @@ class DetectorNode(Node):
         """A frame begins: from now on, `context` tells the time."""
 
     def on_points(self, received: Received, context: Context) -> None:
-        """Detect objects in a scan, and publish those of the scan that is due.
+        """Detect objects in a scan, and publish those of the scan that is due; free space is never late.
 
         Where the detector fails, which fails the run, there are none.
         """
+        if context.connected("sweep"):
+            free = swept(received.body, self.lidar)
+            context.publish("sweep", free, frame=received.frame, time_ns=received.time_ns)
         columns = detected_or_nothing(self.detector, received.body, context.failed)
         self.counts["scans"] += 1
         self.counts["points"] += len(received.body["position"])

@@ -49,7 +49,7 @@ class Simulator(Source):
     def start(self, context: Context) -> None:
         """Place what stands beside the roads, if lidars are scanned."""
         if self.points is not None:
-            self.scanner = Scanner(self.recording, self.points, context.seed)
+            self.scanner = Scanner(self.recording, self.points, context.seed, context.connected("sweep"))
 
     def advance(self, context: Context) -> bool:
         """Publish the next frame: clock, truth, and each agent's pose, detections and sweep."""
@@ -70,7 +70,7 @@ class Simulator(Source):
                 subject=agent.name,
             )
             self.publish_detections(frame, index, context)
-            if context.connected("sweep", agent.name):
+            if self.scanner is None and context.connected("sweep", agent.name):
                 context.publish("sweep", {"free": scene.sweep_at(frame, index)}, subject=agent.name)
         truth, returned = scene.truth_at(frame), scene.points_at(frame)
         if self.scanner is not None:

@@ -88,7 +88,7 @@ class WorldSimulator(Source):
         present = self.world.now()
         self.detection = FrameDetection(present, self.world.detector, context.seed)
         if self.points is not None:
-            self.scanner = Scanner(self.recording, self.points, context.seed)
+            self.scanner = Scanner(self.recording, self.points, context.seed, context.connected("sweep"))
         if present.buildings:  # without them nobody knows what is free
             self.sweeps = [SweepCaster(agent, self.detection.walls) for agent in present.agents]
 
@@ -149,7 +149,7 @@ class WorldSimulator(Source):
                 }
                 part = sensor.name if number else ""
                 context.publish("detections", detections.columns() | mount, subject=subject_of(agent.name, part))
-            if context.connected("sweep", agent.name):
+            if self.scanner is None and context.connected("sweep", agent.name):
                 free = np.zeros((0, 0))
                 if self.sweeps:
                     free = self.sweeps[row].sweep(present.truth, position, present.agent_rotation[0, row])

@@ -76,8 +76,9 @@ def nodes_of(
         if not isinstance(config := patterns[pattern], Mapping):
             raise ConfigurationError(f"{path}: agents: {agent.name}: found {config!r}, expected a dict")
         add(agent.name, "agent", {**_scene_parameters(recording, row), **points.of_agent(lidars), **config})
-    for name, config in points.detectors(lidars, recording):
-        add(name, "detector", config)
+    for agent in recording.agents:
+        if detector := points.of_detector(lidars, agent.name):
+            add(f"detector_{agent.name}", "detector", {"lidar": _limits(agent.sensor), **detector})
     for role in ("broker", "command_center"):
         if scenario.get(role, {}) is not None:
             add(role, role, scenario.get(role, {}))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -94,15 +94,15 @@ def of_agent(options: Mapping[str, Any]) -> dict[str, Any]:
     return late | ({"detector": options["detector"]} if options["detected_by"] == "agent" else {})
 
 
-def detectors(options: Mapping[str, Any], recording: Recording) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield (name, configuration) of the node that detects objects for each agent, if nodes do."""
-    if options and options["detected_by"] == "detector":
-        late = {"late_frames": options["late_frames"]} if options["late_frames"] else {}
-        node = options["node"]
-        if not {"file", "type"} & node.keys():  # a user's detector may well be in a file detector.py
-            node = {"file": str(bundle.ROOT / "nodes" / "detector.py"), **node}
-        for agent in recording.agent_names:
-            yield f"detector_{agent}", {"agent": agent, "detector": options["detector"], **late, **node}
+def of_detector(options: Mapping[str, Any], agent: str) -> dict[str, Any]:
+    """The configuration of the node that detects objects for an agent; empty: none does."""
+    if not options or options["detected_by"] != "detector":
+        return {}
+    late = {"late_frames": options["late_frames"]} if options["late_frames"] else {}
+    node = options["node"]
+    if not {"file", "type"} & node.keys():  # a user's detector may well be in a file detector.py
+        node = {"file": str(bundle.ROOT / "nodes" / "detector.py"), **node}
+    return {"agent": agent, "detector": options["detector"], **late, **node}
 
 
 def rewrites(options: Mapping[str, Any]) -> list[str]:

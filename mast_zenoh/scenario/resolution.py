@@ -91,7 +91,8 @@ def resolve(
     nodes |= timeline.links
     check_cooperation(path, built, sources, wiring, recording.period_ns)
     check_kernels(wiring.codecs, str(path))
-    if any(wire.message == "sweep" for wire in wiring.wires) and not scenario.get("drivers"):  # a world casts its own
+    modelled = not lidars and not scenario.get("drivers")  # otherwise measured in points, or cast by the world
+    if modelled and any(wire.message == "sweep" for wire in wiring.wires):
         recording = scenes.prepare_sweeps(recording, scene, options["seed"], options["frames"], cache_key)
         nodes[driver_of(nodes)].config["recording"] = recording
     if timeline.faults and any(wire.message == "trust" for wire in wiring.wires):

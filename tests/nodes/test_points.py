@@ -105,6 +105,29 @@ def test_the_truth_tells_how_many_points_each_object_returned() -> None:
     assert truth["points"].sum() < len(played("detector").decoded("agent/ego/points", "points")[0].body["channel"]) * 3
 
 
+@cache
+def looking(place: str) -> Run:
+    """The same with views of what lidars see."""
+
+    def edit(content: dict[str, Any]) -> None:
+        content["points"] = dict(detector=dict(type="Everything"), lidar="VLP-16", clutter=None, detected_by=place)
+        content["keyexpr"] = dict(map="testbed.toml", rewrites=["views.toml"])
+
+    return Run(tiny(frames=FRAMES, edit=edit))
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_views_show_the_free_space_of_scans_wherever_it_is_measured(place: str) -> None:
+    for agent in AGENTS:
+        views = [run.decoded(f"agent/{agent}/view", "view") for run in (looking(place), looking("detector"))]
+        assert len(views[0]) == len(views[1]) == FRAMES
+        scans = looking("detector").decoded(f"agent/{agent}/points", "points")
+        for one, other, scan in zip(*views, scans, strict=True):
+            np.testing.assert_array_equal(one.body["free"], other.body["free"])
+            assert 0.0 < one.body["free"].max() <= Points.from_columns(scan.body).range_m().max() + 0.01
+    assert not looking(place).failures
+
+
 def test_late_detections_keep_the_time_of_their_scan() -> None:
     prompt, late = (played("detector", frames).decoded("agent/ego/detections", "detections") for frames in (0, 2))
     assert [message.header.frame for message in late] == list(range(FRAMES))

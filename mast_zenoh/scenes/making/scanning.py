@@ -28,6 +28,7 @@ from mast_zenoh.scenes.recording import NO_MEASUREMENT, Recording, SceneAgent
 from mast_zenoh.sensing import Walls, sensor_pose
 from mast_zenoh.sensing.beams import MODELS, Beams
 from mast_zenoh.sensing.clutter import Clutter
+from mast_zenoh.sensing.free_space import swept
 from mast_zenoh.sensing.point_detector import PointDetector, detected
 from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.returns import REFLECTIVITY, Returns
@@ -105,10 +106,11 @@ class Scanner:
 
     recording: the scene as it is prepared: its agents, their lidars, buildings, and where objects move
     points:    how its lidars are scanned;  seed: of the run
+    swept:     whether free space is published, too, where objects are detected here
     """
 
-    def __init__(self, recording: Recording, points: ScannedPoints, seed: int) -> None:
-        self._agents, self._points, self._seed = recording.agents, points, seed
+    def __init__(self, recording: Recording, points: ScannedPoints, seed: int, swept: bool = False) -> None:
+        self._agents, self._points, self._seed, self._swept = recording.agents, points, seed, swept
         self._detectors = [copy.deepcopy(points.detector) for _ in recording.agents]
         self._period_s = recording.period_ns * 1e-9
         self._beams = [self._beams_of(agent) for agent in recording.agents]
@@ -140,7 +142,7 @@ class Scanner:
         velocity: Floats,
         publish: Callable[..., None],
     ) -> NDArray[np.int32]:
-        """Publish the points of each agent in a frame, and what is detected in them here; frames are in order.
+        """Publish the points of each agent in a frame, and what is found in them here; frames are in order.
 
         truth: n objects, world frame
         position: (A, 3) m, rotation: (A, 3, 3) active, velocity: (A, 3) m/s: of the agents, world frame
@@ -154,6 +156,8 @@ class Scanner:
             publish("points", columns, subject=agent.name)
             if detector is not None:
                 publish("detections", detected(detector, columns), subject=agent.name)
+                if self._swept:
+                    publish("sweep", swept(columns, agent.sensor), subject=agent.name)
             returned.append(np.bincount(of_objects, minlength=len(truth)))
         return np.stack(returned, axis=1).astype(np.int32)
 

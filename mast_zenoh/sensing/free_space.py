@@ -1,0 +1,46 @@
+"""Free space from the points of a lidar: how far a scan shows each direction to be free."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.sensing.cluster_detector import ClusterDetector, ground_of, lowest_by_cell
+from mast_zenoh.sensing.points import Points
+from mast_zenoh.sensing.raycast import SweepRays
+from mast_zenoh.sensing.sensors import LidarSensor
+
+#: mm: farther returns, in x, y and z, are not looked at; side of the cells in which the ground is even.
+_REACH, _DEPTH, _GROUND_CELL = 100_000, 50_000, 2000
+
+
+def swept(scan: Mapping[str, NDArray[Any]], lidar: LidarSensor) -> dict[str, NDArray[Any]]:
+    """The columns of a `sweep` message: m that each direction is free, over the limits of the view of a lidar.
+
+    Free is up to the nearest return that is not of the ground; without one, to the farthest of the ground. Where
+    nothing comes back, because of a clear sky or of an attack, nothing is known: 0.
+
+    scan: the columns of a `points` message
+    """
+    rays, usual, level = SweepRays.of(lidar), ClusterDetector(), rotation_from_quaternion(scan["level_rotation"])
+    upright = Points.from_columns(scan).turned(level).position
+    whole, lowest = lowest_by_cell(np.ascontiguousarray(upright), _REACH, _DEPTH, _GROUND_CELL)
+    place = (whole[:, :2] + _REACH) // _GROUND_CELL
+    height = whole[:, 2] - ground_of(lowest, usual.slope)[place[:, 0], place[:, 1]]
+    x, y, z = (whole @ level).T / 1000.0
+    plan = np.hypot(x, y)
+    turned = (np.arctan2(y, x) - np.radians(lidar.azimuth_min_deg)) % (2.0 * np.pi)
+    raised = np.arctan2(z, plan) - np.radians(lidar.elevation_min_deg)
+    sector = turned * (rays.sectors / np.radians(lidar.azimuth_max_deg - lidar.azimuth_min_deg))
+    band = raised * (rays.bands / np.radians(lidar.elevation_max_deg - lidar.elevation_min_deg))
+    shape = rays.bands, rays.sectors
+    cell = np.ravel_multi_index((band.astype(int), sector.astype(int)), shape, mode="clip")
+    distance, standing = np.hypot(plan, z), height > 1000.0 * usual.clearance_m
+    free, nearest = np.zeros(shape), np.full(shape, np.inf)
+    np.maximum.at(free.reshape(-1), cell[~standing], distance[~standing])
+    np.minimum.at(nearest.reshape(-1), cell[standing], distance[standing])
+    return {"free": np.where(nearest < np.inf, nearest, free)}
