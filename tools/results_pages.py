@@ -209,6 +209,29 @@ PAGES = (
         ),
     ),
     Page(
+        "sensing",
+        "How far attacks on a lidar get",
+        "Which attacks on the points of a lidar reach the brake, and which on what is detected in them?",
+        (
+            Part(
+                "From a spoofer's pulses to the brake",
+                "sensing",
+                full=dict(preset="hour"),
+                quick=dict(preset="quick", trials=5),
+                figure="sensing",
+                table="Links of the chain",
+            ),
+            Part(
+                "Perturbed poses, beside PosePert",
+                "posepert",
+                full=dict(preset="full"),
+                quick=dict(preset="quick", defences="none", trials=5),
+                figure="posepert",
+                table="Theirs and ours",
+            ),
+        ),
+    ),
+    Page(
         "real-data",
         "Recorded and simulated traffic",
         "What do attacks do on recorded traffic, and how real are generated junctions and their detections?",
