@@ -14,25 +14,15 @@ from mast_zenoh.kernels.table cimport SOURCE_DIGEST
 np.import_array()
 DIGEST = SOURCE_DIGEST.decode()
 
-cdef double sum_of_squares(const double* values, Py_ssize_t n) noexcept nogil:
+ctypedef fused real:
+    float
+    double
+
+
+cdef double sum_of_squares(const real* values, Py_ssize_t n) noexcept nogil:
     cdef double a = 0.0, b = 0.0, c = 0.0, d = 0.0
     cdef Py_ssize_t k = 0
     while k + 4 <= n:  # four independent sums, which the processor computes in parallel
-        a += values[k] * values[k]
-        b += values[k + 1] * values[k + 1]
-        c += values[k + 2] * values[k + 2]
-        d += values[k + 3] * values[k + 3]
-        k += 4
-    while k < n:
-        a += values[k] * values[k]
-        k += 1
-    return (a + b) + (c + d)
-
-
-cdef double sum_of_single_squares(const float* values, Py_ssize_t n) noexcept nogil:
-    cdef double a = 0.0, b = 0.0, c = 0.0, d = 0.0
-    cdef Py_ssize_t k = 0
-    while k + 4 <= n:
         a += <double>values[k] * values[k]
         b += <double>values[k + 1] * values[k + 1]
         c += <double>values[k + 2] * values[k + 2]
@@ -232,7 +222,7 @@ def sound_values(dict columns, tuple names, tuple limits):
             if kind == np.NPY_DOUBLE:
                 column_squares = sum_of_squares(<const double*>np.PyArray_DATA(array), np.PyArray_SIZE(array))
             else:
-                column_squares = sum_of_single_squares(<const float*>np.PyArray_DATA(array), np.PyArray_SIZE(array))
+                column_squares = sum_of_squares(<const float*>np.PyArray_DATA(array), np.PyArray_SIZE(array))
             squares += column_squares
             if column_squares < limit:
                 return INFINITY
