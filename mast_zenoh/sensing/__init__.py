@@ -1,7 +1,7 @@
 """Sensing: lidar visibility, scans and points, detectors of points, detection models and sensor frames."""
 
 from mast_zenoh.sensing.beams import MODELS, Beams, LidarModel
-from mast_zenoh.sensing.cluster_detector import ClusterDetector, fit_box
+from mast_zenoh.sensing.cluster_detector import ClusterDetector
 from mast_zenoh.sensing.clutter import Clutter
 from mast_zenoh.sensing.detection_model import CleanDetector, DetectionModel, Detector, LastingErrors
 from mast_zenoh.sensing.point_checks import CheckedDetector, OcclusionCheck, PointCheck, ShadowCheck, TemporalCheck
@@ -40,7 +40,6 @@ __all__ = [
     "TemporalCheck",
     "Walls",
     "cast",
-    "fit_box",
     "in_view",
     "lidar_points",
     "sensor_pose",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,20 +42,19 @@ _OUTLINE, _ACROSS, _NEAR = 100, 200, 50.0
 
 @kernel
 def lowest_by_cell(position: Singles, reach_mm: int, depth_mm: int, cell_mm: int) -> tuple[Millimetres, Millimetres]:
-    """Points (m, 3) mm within reach of the lidar, and the lowest z (g, g) of each cell, x first.
+    """Points (m, 4), x y z mm and cell, within reach of the lidar, and the lowest z (g, g) mm of each cell, x first.
 
     position: (n, 3) m, of which some may not be numbers
     reach_mm: largest x and y, depth_mm: largest z, of either sign
     """
-    scaled = position.astype(np.float64) * 1000.0
-    limit, shift = (reach_mm - 1.0, reach_mm - 1.0, float(depth_mm)), (reach_mm, reach_mm, depth_mm)
-    scaled = scaled[(np.abs(scaled) < limit).all(axis=1)]
-    whole = (scaled + shift + 0.5).astype(np.int32) - np.array(shift, np.int32)
+    scaled, limit = position.astype(np.float64) * 1000.0, max(reach_mm, depth_mm)
+    whole = (np.where(np.abs(scaled) < limit, scaled, limit) + limit + 0.5).astype(np.int32) - limit
+    whole = whole[(np.abs(whole) < (reach_mm, reach_mm, depth_mm)).all(axis=1)]
     side = 2 * reach_mm // cell_mm
+    cell = (whole[:, :2] + reach_mm) // cell_mm @ np.array([side, 1], np.int32)
     lowest = np.full((side, side), _NONE, np.int32)
-    cell = (whole[:, :2] + reach_mm) // cell_mm
-    np.minimum.at(lowest, (cell[:, 0], cell[:, 1]), whole[:, 2])
-    return whole, lowest
+    np.minimum.at(lowest.reshape(-1), cell, whole[:, 2])
+    return np.column_stack([whole, cell]), lowest
 
 
 @kernel
@@ -87,151 +86,120 @@ def ground_surface(lowest: Millimetres, plane: Millimetres, step_mm: int, unseen
 
 
 @kernel
-def connected_cells(
-    whole: Millimetres, ground: Millimetres, reach_mm: int, body: tuple[int, int], cell_mm: int, growth_mm: int
-) -> tuple[Millimetres, Millimetres, Millimetres]:
-    """Components of points, as (n,) numbers, heights, and (c, 8) what is in each.
+def clusters_above(
+    points: Millimetres,
+    ground: Millimetres,
+    reach_mm: int,
+    body: tuple[int, int],
+    cell_mm: int,
+    growth_mm: int,
+    limits: tuple[int, int, int, int],
+) -> tuple[Millimetres, Ints, float]:
+    """Points (k, 4) of the clusters that may be objects, where each starts (c + 1,), and how steep the scan is.
 
-    Components are numbered by their first cells; -1: on the ground or overhead. Heights are mm above the ground. Cells
-    with points are connected if not more than k cells apart, where k is 1 and grows by 1 each `growth_mm` from the
-    lidar. Of a component: how many points, least and greatest x and y, the greatest height, how many points are
-    overhead, straight above its cells, and of both the greatest z by distance in plan, times 10,000.
+    Points at heights of objects belong to cells; cells with points are connected if not more than k apart, where k is 1
+    and grows by 1 each `growth_mm` from the lidar. Clusters are in the order of their first cells; their points are x,
+    y, z, and the height above the ground, mm. Steep: the greatest z by distance in plan, of points in cells or above.
 
-    ground: (g, g) mm, z of the ground;  body: mm, heights of points of objects: above, up to
+    points: (n, 4) as of `lowest_by_cell`;  ground: (g, g) mm, z of the ground in its cells
+    body: mm, heights of points of objects: above, up to
+    limits: of an object, the least points; mm, the greatest height, that below points overhead, the length
     """
-    coarse = (whole[:, :2] + reach_mm) // (2 * reach_mm // len(ground))
-    height = whole[:, 2] - ground[coarse[:, 0], coarse[:, 1]]
-    label = np.full(len(whole), -1, np.int32)
-    rows = np.flatnonzero((height > body[0]) & (height <= body[1]))
-    side = 2 * reach_mm // cell_mm + 1
-    place = (whole[rows, :2] + reach_mm) // cell_mm
-    cells, of_row = np.unique(place[:, 0] * side + place[:, 1], return_inverse=True)
-    at = {int(cell): k for k, cell in enumerate(cells)}
-    component = np.full(len(cells), -1, np.int64)
-    links: list[list[int]] = [[] for _ in cells]
-    for k, cell in enumerate(cells):
-        i, j = divmod(int(cell), side)
-        reach = 1 + max(abs(i * cell_mm - reach_mm), abs(j * cell_mm - reach_mm)) // growth_mm
-        for u in range(max(i - reach, 0), min(i + reach, side - 1) + 1):
-            for v in range(max(j - reach, 0), min(j + reach, side - 1) + 1):
-                other = at.get(u * side + v)
-                if other is not None:
-                    links[k].append(other)
-                    links[other].append(k)
-    for k in range(len(cells)):
-        if component[k] < 0:
-            number, open_cells = component.max(initial=-1) + 1, [k]
-            component[k] = number
-            while open_cells:
-                for other in links[open_cells.pop()]:
-                    if component[other] < 0:
-                        component[other] = number
-                        open_cells.append(other)
-    label[rows] = component[of_row.ravel()]
-    over = np.flatnonzero(height > body[1])
-    place = (whole[over, :2] + reach_mm) // cell_mm
-    below = [component[at[cell]] if cell in at else -1 for cell in (place[:, 0] * side + place[:, 1]).tolist()]
-    of_over = np.array(below, np.int64)
-    over, of_over = over[of_over >= 0], of_over[of_over >= 0]
-    summary = np.zeros((int(component.max(initial=-1)) + 1, 8), np.int32)
-    summary[:, 1::2], summary[:, 2:6:2], summary[:, 5] = _NONE, -_NONE, 0
-    for column, (reduce, values) in enumerate(
-        (
-            (np.add, np.ones(len(whole), np.int32)),
-            (np.minimum, whole[:, 0]),
-            (np.maximum, whole[:, 0]),
-            (np.minimum, whole[:, 1]),
-            (np.maximum, whole[:, 1]),
-            (np.maximum, height),
-        )
-    ):
-        reduce.at(summary[:, column], label[rows], values[rows])
-    np.add.at(summary[:, 6], of_over, 1)
-    summary[:, 7] = -_NONE
-    for part, numbers in ((rows, label[rows]), (over, of_over)):
-        x, y, z = whole[part].astype(np.float64).T
-        np.maximum.at(summary[:, 7], numbers, np.floor(1e4 * z / np.sqrt(x * x + y * y + 1.0)).astype(np.int32))
-    return label, height.astype(np.int32), summary
+    height, cell = points[:, 2] - ground.reshape(-1)[points[:, 3]], (points[:, :2] + reach_mm) // cell_mm
+    inside = (height > body[0]) & (height <= body[1])
+    cells = np.unique(cell[inside], axis=0)
+    reach = 1 + np.abs(cells * cell_mm - reach_mm).max(axis=1, initial=0) // growth_mm
+    number = np.full(len(cells), -1)
+    for seed in range(len(cells)):
+        waiting = [seed] if number[seed] < 0 else []
+        number[waiting] = number.max() + 1
+        while waiting:
+            k = waiting.pop()
+            near = (number < 0) & (np.abs(cells - cells[k]).max(axis=1) <= np.maximum(reach, reach[k]))
+            number[near] = number[k]
+            waiting.extend(np.flatnonzero(near).tolist())
+    of_cell = dict(zip(map(tuple, cells.tolist()), number.tolist(), strict=True))
+    of_point = np.array([of_cell.get((i, j), -1) for i, j in cell.tolist()], np.int64)
+    of_point[height <= body[0]] = -1
+    least, tallest, below, longest = limits
+    parts = [np.zeros((0, 4), np.int32)]
+    for k in range(number.max(initial=-1) + 1):
+        part = np.column_stack([points[:, :3], height])[inside & (of_point == k)]
+        top, overhead = part[:, 3].max(), ((of_point == k) & ~inside).any()
+        across = np.hypot(*np.ptp(part[:, :2].astype(np.float64), axis=0))
+        if len(part) >= least and top <= (below if overhead else tallest) and across < longest:
+            parts.append(part)
+    x, y, z = points[of_point >= 0, :3].T.astype(np.float64)
+    steepest = float((z / np.sqrt(x * x + y * y + 1.0)).max(initial=-_NONE))
+    return np.concatenate(parts), np.cumsum([len(part) for part in parts]), steepest
 
 
 @kernel
-def rectangle_turns(
-    plan: Millimetres, start: Ints, axes: Floats, coarse: int, least_mm: int, across: int, near_mm: float
-) -> Ints:
-    """(c,) row of `axes` along which a rectangle fits the points of each cluster best.
+def fitted_rectangles(
+    points: Millimetres, start: Ints, axes: Floats, coarse: int, least_mm: int, across: int, near_mm: float
+) -> tuple[Ints, Floats]:
+    """Row of `axes` (c,) along which a rectangle fits the points of each cluster best, and extents (c, 11) of points.
 
     The search of Zhang et al. 2017 (Efficient L-shape fitting for vehicle detection using laser scanners, IV,
-    algorithm 4, closeness), on the means of the points in the cells of a grid, with all four sides.
+    algorithm 4, closeness), on the means of the points in the cells of a grid, with all four sides. Extents, m: least
+    and greatest along both sides; lengths of the upper part along both; least and greatest height above the ground,
+    least z of the ground. Then the greatest z by distance in plan, and the number of points.
 
-    plan: (n, 2) mm, sorted by cluster;  start: (c + 1,) first row of each
-    axes: (t, 2) cosine and sine, evenly over a quarter turn; every `coarse`-th first, then those beside the best
+    points, start: as of `clusters_above`
+    axes: (t, 2) cosine and sine, evenly over half a turn: the second half are those that are at a right angle. Of the
+        first, every `coarse`-th is tried, then those beside the best; the result is that of the longer side
     least_mm: side of cells, of which there are at most `across` in a row;  near_mm: nearer to a side counts the same
     """
-    turns = len(axes)
-    best = np.zeros(len(start) - 1, np.int64)
+    turns = len(axes) // 2
+    best, extents = np.zeros(len(start) - 1, np.int64), np.zeros((len(start) - 1, 11))
     for c, (first, end) in enumerate(pairwise(start)):
-        at = plan[first:end] - plan[first:end].min(axis=0)
-        cell_mm = max(least_mm, int(at.max()) // across + 1)
-        cell = at // cell_mm
+        part = points[first:end]
+        at = part[:, :2] - part[:, :2].min(axis=0)
+        cell = at // max(least_mm, int(at.max()) // across + 1)
         _, of_row = np.unique(cell[:, 0] * (across + 1) + cell[:, 1], return_inverse=True)
         count = np.bincount(of_row.ravel())
-        x, y = (np.bincount(of_row.ravel(), weights=each) / count for each in at.T)
+        x, y = (np.bincount(of_row.ravel(), weights=side) / count for side in at.T)
 
         def closeness(turn: int, x: Floats = x, y: Floats = y) -> int:
-            cosine, sine = axes[turn]
-            sides = x * cosine + y * sine, y * cosine - x * sine
+            sides = _along(axes[turn, 0], axes[turn, 1], x, y)
             gap = np.minimum(*(np.minimum(side - side.min(), side.max() - side) for side in sides))
             return int((1e6 / np.maximum(gap, near_mm)).astype(np.int64).sum())
 
         scores = {turn: closeness(turn) for turn in range(0, turns, coarse)}
-        middle = max(scores, key=lambda turn: scores[turn])
-        order = [middle, *((middle + k) % turns for k in range(1 - coarse, coarse))]
+        coarsely = max(scores, key=lambda turn: scores[turn])
+        order = [coarsely, *((coarsely + k) % turns for k in range(1 - coarse, coarse))]
         best[c] = max(order, key=closeness)
-    return best
+        x, y, z, height = part.T.astype(np.float64)
+        sides = np.stack(_along(axes[best[c], 0], axes[best[c], 1], x / 1000.0, y / 1000.0))
+        if np.diff(np.ptp(sides, axis=1)) > 0.0:
+            best[c], sides = best[c] + turns, np.stack([sides[1], -sides[0]])
+        extents[c, :4] = *sides.min(axis=1), *sides.max(axis=1)
+        if (upper := height > 0.75 * height.max()).any():
+            extents[c, 4:6] = np.ptp(sides[:, upper], axis=1)
+        extents[c, 6:9] = height.min() / 1000.0, height.max() / 1000.0, (z - height).min() / 1000.0
+        extents[c, 9:] = (z / np.sqrt(x * x + y * y + 1.0)).max(), len(part)
+    return best, extents
 
 
-#: (t, 2) cosine and sine of the turns that are tried.
+def _along(cosine: Floats, sine: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Places along and across an axis, of x and y; with the opposite sine, x and y of places along and across it."""
+    return x * cosine + y * sine, y * cosine - x * sine
+
+
+#: (t, 2) cosine and sine of the turns that are tried, and of those at a right angle to them.
 _ANGLES = np.radians(np.arange(0.0, 90.0, _TURN_DEG))
-_AXES = np.ascontiguousarray(np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1))
-
-
-class Clusters(NamedTuple):
-    """Points of c clusters, one cluster after the other.
-
-    whole: (n, 3) mm, height: (n,) mm above the ground, start: (c + 1,) first row of each cluster
-    """
-
-    whole: Millimetres
-    height: Millimetres
-    start: Ints
-
-    def of_each(self, reduce: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
-        """(c,) of values (n,), the highest or lowest of each cluster."""
-        return np.asarray(reduce.reduceat(values, self.start[:-1]))
-
-    def select(self, kept: Bools) -> Clusters:
-        """Some of the clusters."""
-        count = np.diff(self.start)
-        rows = np.repeat(kept, count)
-        start = np.concatenate([[0], np.cumsum(count[kept])])
-        return Clusters(self.whole[rows], self.height[rows], start)
-
-    def heights(self) -> tuple[Floats, Floats]:
-        """(c,) m, of the lowest and of the highest point above the ground."""
-        return self.of_each(np.minimum, self.height) / 1000.0, self.of_each(np.maximum, self.height) / 1000.0
-
-    def merged(self, group: Ints) -> Clusters:
-        """Clusters of clusters; group: (c,) number of each, from 0."""
-        each = np.repeat(group, np.diff(self.start))
-        rows = np.argsort(each, kind="stable")
-        return Clusters(self.whole[rows], self.height[rows], np.concatenate([[0], np.cumsum(np.bincount(each))]))
+_COSINE, _SINE = np.cos(_ANGLES), np.sin(_ANGLES)
+_AXES = np.concatenate([np.stack([_COSINE, _SINE], axis=1), np.stack([-_SINE, _COSINE], axis=1)])
+_ANGLES = np.concatenate([_ANGLES, _ANGLES + 0.5 * np.pi])
 
 
 class Rectangles(NamedTuple):
-    """Rectangles around c clusters in plan. Their first axis is the longer one.
+    """Rectangles around c clusters in plan, and what else their points tell. Their first axis is the longer one.
 
     yaw: (c,) rad;  low, high: (c, 2) m from the lidar along both axes;  axes: (c, 2) cosine and sine of yaw
     upper: (c, 2) m, extent of the points of the upper part, 0 without any
+    bottom, top: (c,) m above the ground, of the lowest and highest point;  floor: (c,) m, z of the lowest ground
+    steepest: (c,) greatest z by distance in plan;  points: (c,) how many there are
     """
 
     yaw: Floats
@@ -239,12 +207,19 @@ class Rectangles(NamedTuple):
     high: Floats
     axes: Floats
     upper: Floats
+    bottom: Floats
+    top: Floats
+    floor: Floats
+    steepest: Floats
+    points: Floats
+
+    def select(self, rows: Bools | Ints) -> Rectangles:
+        """Some of them, or all in another order."""
+        return Rectangles(*(column[rows] for column in self))
 
 
 def ground_of(lowest: Millimetres, slope: float) -> Millimetres:
     """(g, g) mm, z of the ground, from the lowest points of cells; `slope`: how steep it may be against a plane."""
-    if not (lowest != _NONE).any():
-        return np.zeros_like(lowest)
     steps = int(slope * _GROUND_CELL), int(_UNSEEN_SLOPE * _GROUND_CELL)
     return ground_surface(lowest, _plane(lowest), *steps, _PIT)
 
@@ -271,43 +246,11 @@ def _plane(lowest: Millimetres) -> Millimetres:
     return np.asarray(np.rint(plane), np.int32)
 
 
-def grouped(whole: Millimetres, height: Millimetres, label: Millimetres, kept: Bools) -> Clusters:
-    """The points of the components that are kept, in the order of their numbers."""
-    rows = np.flatnonzero(np.append(kept, False)[label])
-    labels = label[rows]
-    narrow = labels.astype(np.uint16) if len(kept) <= 1 << 16 else labels  # sorted in linear time
-    rows = rows[np.argsort(narrow, kind="stable")]
-    count = np.bincount(labels, minlength=len(kept))[kept]
-    return Clusters(whole[rows], height[rows], np.concatenate([[0], np.cumsum(count)]))
-
-
-def may_be_objects(summary: Millimetres, least: int) -> Bools:
-    """(c,) whether components, as `connected_cells` describes them, have enough points and are not too large."""
-    count, low_x, high_x, low_y, high_y, top, over, _ = summary.T
-    tall = (top > _TALLEST) | ((top > _MAY_BE_BELOW) & (over > 0))
-    diagonal = np.hypot((high_x - low_x).astype(np.float64), (high_y - low_y).astype(np.float64))
-    return np.asarray((count >= least) & ~tall & (diagonal < _LONGEST))
-
-
-def rectangles(clusters: Clusters) -> Rectangles:
-    """Rectangles around the points of clusters."""
-    plan = np.ascontiguousarray(clusters.whole[:, :2])
-    turn = rectangle_turns(plan, clusters.start, _AXES, _COARSE, _OUTLINE, _ACROSS, _NEAR)
-    each = np.repeat(_AXES[turn], np.diff(clusters.start), axis=0)
-    x, y = plan.T / 1000.0
-    sides = x * each[:, 0] + y * each[:, 1], y * each[:, 0] - x * each[:, 1]
-    low = np.stack([clusters.of_each(np.minimum, side) for side in sides], axis=1)
-    high = np.stack([clusters.of_each(np.maximum, side) for side in sides], axis=1)
-    top = clusters.of_each(np.maximum, clusters.height)
-    upper = clusters.height > np.repeat(0.75 * top, np.diff(clusters.start))
-    ends = [
-        clusters.of_each(reduce, np.where(upper, side, none))
-        for side in sides
-        for reduce, none in ((np.minimum, np.inf), (np.maximum, -np.inf))
-    ]
-    across = np.maximum(np.stack([ends[1] - ends[0], ends[3] - ends[2]], axis=1), 0.0)
-    swapped = high[:, 1] - low[:, 1] > high[:, 0] - low[:, 0]
-    return turned_left(Rectangles(_ANGLES[turn], low, high, _AXES[turn], across), swapped)
+def rectangles(points: Millimetres, start: Ints) -> Rectangles:
+    """Rectangles around the points of clusters, which are as `clusters_above` gives them."""
+    turn, extents = fitted_rectangles(points, start, _AXES, _COARSE, _OUTLINE, _ACROSS, _NEAR)
+    low, high, upper = extents[:, :2], extents[:, 2:4], extents[:, 4:6]
+    return Rectangles(_ANGLES[turn], low, high, _AXES[turn], upper, *extents[:, 6:].T)
 
 
 #: Classes, and of each, m: the usual length and width, the least height.
@@ -326,12 +269,9 @@ _RIGHT = np.array([0.88, 0.95, 0.9, 0.98, 0.65, 0.8])
 _PEDESTRIAN, _BICYCLE, _MOTORCYCLE, _CAR, _TRUCK, _BUS = range(len(_KINDS))
 
 
-def kinds_of(box: Rectangles, low: Floats, high: Floats, count: Ints) -> Ints:
-    """(c,) row of each cluster in the table of classes, -1: no road user.
-
-    low, high: (c,) m, of the lowest and the highest point above the ground;  count: (c,) points
-    """
-    length, width = (box.high - box.low).T
+def kinds_of(box: Rectangles) -> Ints:
+    """(c,) row of each cluster in the table of classes, -1: no road user."""
+    (length, width), low, high, count = (box.high - box.low).T, box.bottom, box.top, box.points
     kind = np.full(len(high), _CAR)
     kind[(high > 2.3) | (length > 5.6)] = _TRUCK
     kind[(high > 2.3) & (length > 9.5)] = _BUS
@@ -354,43 +294,38 @@ def kinds_of(box: Rectangles, low: Floats, high: Floats, count: Ints) -> Ints:
     return kind
 
 
-def _plan(along: Floats, across: Floats, cosine: Floats, sine: Floats) -> tuple[Floats, Floats]:
-    """x and y, m, of places along and across an axis."""
-    return along * cosine - across * sine, along * sine + across * cosine
-
-
-def joined(clusters: Clusters, box: Rectangles, low: Floats, high: Floats) -> Ints:
-    """(c,) number of the vehicle that each cluster is a piece of: lidars with few channels see them in stripes.
-
-    low, high: (c,) m, of the lowest and the highest point above the ground
-    """
-    count, extent = np.diff(clusters.start), box.high - box.low
-    cosine, sine = box.axes.T
-    along = np.stack([box.low[:, 0], box.high[:, 0], box.low[:, 0], box.high[:, 0]], axis=1)
-    across = np.stack([box.low[:, 1], box.low[:, 1], box.high[:, 1], box.high[:, 1]], axis=1)
-    x, y = _plan(along, across, cosine[:, None], sine[:, None])
-    sides = [
-        cosine[:, None, None] * x + sine[:, None, None] * y,
-        cosine[:, None, None] * y - sine[:, None, None] * x,
-    ]
-    least, most = (np.stack([reduce(side, axis=2) for side in sides], axis=2) for reduce in (np.min, np.max))
-    gap = np.maximum(np.maximum(least - box.high[:, None], box.low[:, None] - most), 0.0).max(axis=2)
-    both = np.maximum(most, box.high[:, None]) - np.minimum(least, box.low[:, None])
-    longer, shorter = both.max(axis=2), both.min(axis=2)
-    person = (extent[:, 0] < 2.4) & (extent[:, 1] < 1.0) & (high > 1.35) & (high < 2.2) & (low < 0.7)
-    person &= box.upper.max(axis=1, initial=0.0) < 0.9
-    tall = high > 2.3
-    car = (~tall & ~person & (count[:, None] <= count)).T & ~(tall | person)[None]
-    together = car & (longer < 5.2) & (shorter < 2.2) & (gap < 1.6)
-    level = np.abs(high[:, None] - high) < 0.6
-    together |= tall[:, None] & tall & level & (longer < 12.8) & (shorter < 2.8) & (gap < 2.8)
+def joined(points: Millimetres, start: Ints, box: Rectangles) -> Rectangles:
+    """Rectangles of clusters, with one for all pieces of a vehicle: lidars with few channels see them in stripes."""
+    (length, width), tall = (box.high - box.low).T, box.top > 2.3
+    person = (length < 2.4) & (width < 1.0) & (box.top > 1.35) & (box.top < 2.2) & (box.bottom < 0.7)
+    low = ~tall & ~(person & (box.upper.max(axis=1, initial=0.0) < 0.9))
+    ends, (cosine, sine) = np.array([box.low, box.high]), box.axes.T
+    corners = np.array(_along(cosine, -sine, ends[[0, 1, 0, 1], :, 0], ends[[0, 0, 1, 1], :, 1]))
+    middle, reach = (corners[:, 0] + corners[:, 3]) / 2.0, 0.75 * np.hypot(length, width)
+    together = low[:, None] & low & (box.points[:, None] >= box.points)
+    together |= tall[:, None] & tall & (np.abs(box.top[:, None] - box.top) < 0.6)
+    apart = np.abs(middle[:, :, None] - middle[:, None])
+    together &= (apart < reach[:, None] + reach + 5.0).all(axis=0)  # others are too far apart in any case
     np.fill_diagonal(together, False)
-    group = np.arange(len(count))
-    if not together.any():
-        return group
-    for first, second in zip(*np.nonzero(together), strict=True):
-        group[group == group[second]] = group[first]
-    return np.unique(group, return_inverse=True)[1].ravel()
+    first, second = np.nonzero(together)
+    sides = np.array(_along(cosine[first], sine[first], *corners[:, :, second]))
+    (least, most), before, behind = (sides.min(axis=1), sides.max(axis=1)), box.low[first].T, box.high[first].T
+    gap = np.maximum(least - behind, before - most).max(axis=0)
+    longer, shorter = np.sort(np.maximum(most, behind) - np.minimum(least, before), axis=0)[::-1]
+    limits = np.where(tall[first], np.array([(12.8,), (2.8,), (2.8,)]), np.array([(5.2,), (2.2,), (1.6,)]))
+    group = np.arange(len(tall))
+    for pair in np.flatnonzero((np.stack([longer, shorter, gap]) < limits).all(axis=0)):
+        group[group == group[second[pair]]] = group[first[pair]]
+    numbers, row, pieces = np.unique(group, return_index=True, return_counts=True)
+    several = np.flatnonzero(pieces > 1)
+    if not len(several):
+        return box
+    members = [np.flatnonzero(group == number) for number in numbers[several]]
+    parts = [np.concatenate([points[start[k] : start[k + 1]] for k in rows]) for rows in members]
+    whole, box = rectangles(np.concatenate(parts), np.cumsum([0, *map(len, parts)])), box.select(row)
+    for column, others in zip(box, whole, strict=True):
+        column[several] = others
+    return box
 
 
 def completed(box: Rectangles, size: Floats) -> tuple[Rectangles, Floats]:
@@ -412,29 +347,8 @@ def turned_left(box: Rectangles, which: Bools) -> Rectangles:
     low = np.where(turned, np.stack([box.low[:, 1], -box.high[:, 0]], axis=1), box.low)
     high = np.where(turned, np.stack([box.high[:, 1], -box.low[:, 0]], axis=1), box.high)
     axes = np.where(turned, np.stack([-box.axes[:, 1], box.axes[:, 0]], axis=1), box.axes)
-    return Rectangles(box.yaw + 0.5 * np.pi * which, low, high, axes, np.where(turned, box.upper[:, ::-1], box.upper))
-
-
-def fit_box(position: Floats | Singles) -> tuple[Floats, Floats, float]:
-    """The upright box around the points (n, 3) m of one object: its middle (3,) m, size (3,) m, and yaw, rad.
-
-    The length is the longer side in plan; yaw is -90 to 90 degrees. Points that are not numbers are left out. Raises
-    ValueError if none is left, or if they are farther apart than a kilometre.
-    """
-    points = np.asarray(position, np.float64).reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1)]
-    low = points.min(axis=0, initial=np.inf)
-    spread = float((points.max(axis=0, initial=-np.inf) - low).max())
-    if not 0.0 <= spread <= 1000.0:
-        raise ValueError(
-            f"position: found {len(points)} points {max(spread, 0.0):g} m apart, expected some within 1 km"
-        )
-    whole = np.rint((points - low) * 1000.0).astype(np.int32)
-    box = rectangles(Clusters(whole, whole[:, 2], np.array([0, len(whole)])))
-    middle, axis = (box.low[0] + box.high[0]) / 2.0, box.axes[0]
-    x, y = _plan(middle[0], middle[1], axis[0], axis[1])
-    size = np.append(box.high - box.low, whole[:, 2].max() / 1000.0)
-    return low + np.array([x, y, size[2] / 2.0]), size, float(wrap_angle(2.0 * box.yaw[0]) / 2.0)
+    upper = np.where(turned, box.upper[:, ::-1], box.upper)
+    return box._replace(yaw=box.yaw + 0.5 * np.pi * which, low=low, high=high, axes=axes, upper=upper)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -470,53 +384,36 @@ class ClusterDetector(PointDetector):
 
     def detect(self, points: Points) -> Detections:
         reach = int(np.ceil(self.reach_m * 1000 / _GROUND_CELL)) * _GROUND_CELL
-        whole, lowest = lowest_by_cell(np.ascontiguousarray(points.position, np.float32), reach, _DEPTH, _GROUND_CELL)
-        ground = ground_of(lowest, self.slope)
+        points_mm, lowest = lowest_by_cell(np.asarray(points.position, np.float32), reach, _DEPTH, _GROUND_CELL)
         body = round(1000 * self.clearance_m), _OVERHEAD
         cells = round(1000 * self.cell_m), round(1000 * self.growth_m)
-        label, height, summary = connected_cells(whole, ground, reach, body, *cells)
-        steepest = float(summary[:, 7].max(initial=-_NONE)) / 1e4
-        return boxes_of(grouped(whole, height, label, may_be_objects(summary, self.min_points)), steepest)
+        limits = self.min_points, _TALLEST, _MAY_BE_BELOW, _LONGEST
+        return boxes_of(*clusters_above(points_mm, ground_of(lowest, self.slope), reach, body, *cells, limits))
 
 
-def _steepness(whole: Millimetres) -> Singles:
-    """(n,) z by distance in plan of points (n, 3) mm from the lidar."""
-    x, y, z = whole.T.astype(np.float32)
-    steepness: Singles = z / np.sqrt(x * x + y * y + np.float32(1.0))
-    return steepness
-
-
-def boxes_of(clusters: Clusters, steepest: float) -> Detections:
-    """The detections of clusters; none of those that cannot be road users. steepest: of `_steepness`, in the scan"""
-    if not len(clusters.height):
+def boxes_of(points: Millimetres, start: Ints, steepest: float) -> Detections:
+    """The detections of clusters, as `clusters_above` gives them; none of those that cannot be road users."""
+    if not len(points):
         return Detections.empty()
-    box = rectangles(clusters)
-    group = joined(clusters, box, *clusters.heights())
-    if group.max() < len(group) - 1:
-        clusters = clusters.merged(group)
-        box = rectangles(clusters)
-    low, top = clusters.heights()
-    kind = kinds_of(box, low, top, np.diff(clusters.start))
+    box = joined(points, start, rectangles(points, start))
+    kind = kinds_of(box)
     # What reaches up to the end of the view may be higher: flat pieces and corners of walls.
     (length, width), straight = (box.high - box.low).T, (box.upper > 0.92 * (box.high - box.low)).all(axis=1)
     wall = (width < 0.2) | (straight & (length < 6.0))
-    wall &= (top > 2.3) & ~((length > 2.1) & (length < 2.7) & (width < 2.1))
-    cut = clusters.of_each(np.maximum, _steepness(clusters.whole)) > steepest - _CHANNEL
-    kept = (kind >= 0) & ~(wall & cut)
+    wall &= (box.top > 2.3) & ~((length > 2.1) & (length < 2.7) & (width < 2.1))
+    kept = (kind >= 0) & ~(wall & (box.steepest > steepest - _CHANNEL))
     if not kept.any():
         return Detections.empty()
-    clusters, box, top, kind = clusters.select(kept), Rectangles(*(each[kept] for each in box)), top[kept], kind[kept]
+    box, kind = box.select(kept), kind[kept]
     sight = np.abs(box.low + box.high)  # a short face of a vehicle is its front or rear: its length is along the view
     vehicle = (kind >= _CAR) & ((box.high - box.low)[:, 0] < np.where(kind == _CAR, 2.1, 2.7))
     box = turned_left(box, vehicle & (sight[:, 1] > sight[:, 0]))
-    usual, seen = _USUAL[kind], (box.high - box.low).min(axis=1)
+    usual, seen, count = _USUAL[kind], (box.high - box.low).min(axis=1), box.points
     box, missing = completed(box, usual[:, :2])
     middle, extent = (box.low + box.high) / 2.0, box.high - box.low
     cosine, sine = box.axes.T
-    height = np.maximum(top, usual[:, 2])
-    floor = clusters.of_each(np.minimum, clusters.whole[:, 2] - clusters.height) / 1000.0
-    position = np.stack([*_plan(middle[:, 0], middle[:, 1], cosine, sine), floor + height / 2.0], axis=1)
-    count = np.diff(clusters.start)
+    height = np.maximum(box.top, usual[:, 2])
+    position = np.stack([*_along(cosine, -sine, *middle.T), box.floor + height / 2.0], axis=1)
     # These numbers are fitted to scans of our own (docs/explanation-points.md).
     few = np.where(kind >= _CAR, 1.2, 0.2) / count
     plan = 0.06**2 + few[:, None] + (0.2 * missing) ** 2
@@ -533,11 +430,10 @@ def boxes_of(clusters: Clusters, steepest: float) -> Detections:
     return found.select(~_within_others(found, kind, count))
 
 
-def _within_others(found: Detections, kind: Ints, count: Ints) -> Bools:
+def _within_others(found: Detections, kind: Ints, count: Floats) -> Bools:
     """(n,) whether the middle of a detection is within a vehicle of more points, or it is no vehicle itself."""
-    offset = found.position[:, None, :2] - found.position[None, :, :2]
-    cosine, sine = np.cos(found.yaw), np.sin(found.yaw)
-    along = np.abs(offset[..., 0] * cosine + offset[..., 1] * sine) < found.size[:, 0] / 2.0
-    across = np.abs(offset[..., 1] * cosine - offset[..., 0] * sine) < found.size[:, 1] / 2.0
+    offset = found.position.T[:2, :, None] - found.position.T[:2, None]
+    apart = np.abs(_along(np.cos(found.yaw), np.sin(found.yaw), *offset))
+    inside = (apart < found.size.T[:2, None] / 2.0).all(axis=0)
     other = (kind >= _CAR) & ((count > count[:, None]) | (kind[:, None] < _CAR))
-    return np.asarray((along & across & other & ~np.eye(len(count), dtype=bool)).any(axis=1))
+    return np.asarray((inside & other & ~np.eye(len(count), dtype=bool)).any(axis=1))

@@ -382,9 +382,15 @@ def encoded(random, n, m):
 
 
 def point_cells(random, n):
-    """Points in whole mm, within 20 m, and the ground of cells of 2 m."""
+    """Points in whole mm and their cells of 2 m, within 20 m, and the ground of these cells."""
     whole = (1000 * random.uniform(-15, 15, (n, 3)) * random.choice([0.1, 1.0], (n, 1))).astype(np.int32)
-    return whole, random.integers(-3000, 3000, (20, 20)).astype(np.int32), 20_000
+    cell = (whole[:, :2] + 20_000) // 2000 @ np.array([20, 1], np.int32)
+    return np.column_stack([whole, cell]), random.integers(-3000, 3000, (20, 20)).astype(np.int32), 20_000
+
+
+def raised_points(random, n, m):
+    limits = int(random.integers(1, 4)), 3000, 2000, int(random.choice([300, 5000, 40_000]))
+    return *point_cells(random, n), (250, 2500), 350 + 10 * m, int(random.choice([3000, 20_000])), limits
 
 
 def lowest_points(random, n, m):
@@ -400,11 +406,11 @@ def ground_cells(random, n, m):
 
 
 def clusters_of_points(random, n, m):
-    """The plan of points in up to m clusters, and what `rectangle_turns` needs to know."""
-    whole, _, _ = point_cells(random, n)
+    """Points in up to m clusters, and what `fitted_rectangles` needs to know."""
+    points, _, _ = point_cells(random, n)
     start = np.unique(np.concatenate([[0, n], random.integers(0, n + 1, m)])).astype(np.int64)
-    angles = np.radians(np.arange(0.0, 90.0, 2.0))
-    return whole[:, :2], start, np.stack([np.cos(angles), np.sin(angles)], axis=1), 5, 100, 60, 50.0
+    angles = np.radians(np.arange(0.0, 180.0, 2.0))
+    return points, start, np.stack([np.cos(angles), np.sin(angles)], axis=1), 5, 100, 60, 50.0
 
 
 #: For each kernel its arguments, with n rows and m others (both may be 0).
@@ -449,8 +455,8 @@ def received(random, n, m):
 ARGUMENTS = {
     "lowest_by_cell": lowest_points,
     "ground_surface": ground_cells,
-    "connected_cells": lambda r, n, m: (*point_cells(r, n), (250, 2500), 350 + 10 * m, int(r.choice([3000, 20_000]))),
-    "rectangle_turns": clusters_of_points,
+    "clusters_above": raised_points,
+    "fitted_rectangles": clusters_of_points,
     "begin_step": lambda r, n, m: (table(r, n), 0.1, 0.09, 30.0, 2.0),
     "predict": lambda r, n, m: (table(r, n), 0.1, covariances(r, 7)),
     "correct": lambda r, n, m: (table(r, n), r.normal(size=(n, k := r.choice([6, 9]))), covariances(r, n, k)),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Detections, Floats
-from mast_zenoh.sensing import ClusterDetector, NoDetections, Walls, fit_box, scan
+from mast_zenoh.sensing import ClusterDetector, NoDetections, Walls, scan
 from mast_zenoh.sensing.beams import MODELS
 from mast_zenoh.sensing.point_detector import detected, problem_of
 from mast_zenoh.sensing.points import Points
@@ -165,25 +165,6 @@ def test_points_that_are_not_numbers_are_left_out() -> None:
     bad = Points.of(np.full((100, 3), np.nan))
     first, second = (ClusterDetector().detect(each) for each in (points, Points.joined([bad, points, bad])))
     np.testing.assert_array_equal(first.position, second.position)
-
-
-@pytest.mark.parametrize("yaw", [0.0, 0.4, 1.5, -1.0])
-def test_box_of_points_is_fitted_along_their_sides(yaw: float) -> None:
-    along = np.linspace(-2.0, 2.0, 60)
-    sides = np.concatenate(
-        [np.column_stack([along, 0 * along - 0.9]), np.column_stack([0 * along - 2.0, along * 0.45])]
-    )
-    turned = sides @ np.array([(np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))])
-    position = np.column_stack([turned + np.array([500.0, -80.0]), np.tile(np.linspace(0.2, 1.6, 60), 2)])
-    middle, size, fitted = fit_box(position)
-    np.testing.assert_allclose(middle, (500.0, -80.0, 0.9), atol=0.05)
-    np.testing.assert_allclose(size, (4.0, 1.8, 1.4), atol=0.1)
-    assert abs((fitted - yaw + np.pi / 2) % np.pi - np.pi / 2) < np.radians(1.1)
-
-
-def test_box_of_no_points_is_refused() -> None:
-    with pytest.raises(ValueError, match="position: found 0 points"):
-        fit_box(np.full((3, 3), np.nan))
 
 
 @pytest.mark.parametrize("settings_", [{"reach_m": 0.0}, {"cell_m": np.nan}, {"min_points": 0}, {"slope": 2.0}])
