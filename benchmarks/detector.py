@@ -1,6 +1,7 @@
 """Recall, precision and errors of the detector of points on scans of generated junctions, as tables in Markdown.
 
     python benchmarks/detector.py [--lidar VLP-32C ...] [--agent ego ...] [--seeds 3] [--frames 10] [--without-clutter]
+        [--worst FOLDER]
 
 The scans are cast from the scenes: shapes of a few convex parts, buildings, still objects beside the roads, a flat
 ground; `Returns` loses 2 % of the returns, and far dark ones. Lidar `paper` is the one that the scene gives to each
@@ -9,6 +10,7 @@ counts from one point on, within 100 m. A detection is right if its middle is wi
 the object's. Near vehicles have 30 points and more, within 40 m. Merged: a detection covers the middles of two objects;
 split: an object covers those of two detections. Precision is that of all detections, and of those with a score.
 The last table is what `DetectionModel` needs to be like the detector: fitted to objects found, and errors below 1 m.
+FOLDER gets worst_detections.png: from above, the worst case of each kind that docs/explanation-points.md names.
 """
 
 from __future__ import annotations
@@ -17,30 +19,42 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from itertools import pairwise
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.collections import PolyCollection
+from matplotlib.patches import Patch
+from matplotlib.ticker import MultipleLocator
 from scipy.optimize import linear_sum_assignment, minimize
 
 from mast_zenoh import scenes
-from mast_zenoh.arrays.geometry import heading, rotation_from_yaw, wrap_angle
-from mast_zenoh.arrays.states import CLASSES, Detections, Floats, Ints, ObjectStates
+from mast_zenoh.arrays.boxes import Boxes
+from mast_zenoh.arrays.geometry import box_corners, heading, rotation_from_yaw, wrap_angle
+from mast_zenoh.arrays.states import CLASSES, Bools, Detections, Floats, Ints, ObjectStates
 from mast_zenoh.scenes.generated.intersection import Intersection
 from mast_zenoh.sensing import ClusterDetector, LidarSensor, PointDetector, Walls, scan, sensor_pose
 from mast_zenoh.sensing.beams import MODELS, Beams
-from mast_zenoh.sensing.clutter import Clutter, StillObjects
+from mast_zenoh.sensing.clutter import KINDS, Clutter, StillObjects
 from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.returns import REFLECTIVITY, Returns
 from mast_zenoh.sensing.shapes import Parts
+from mast_zenoh.show.figures.birdseye import BoxArtists, draw_ground, face, outlines
+from mast_zenoh.show.figures.legend import draw_legend, mark_entry
+from mast_zenoh.show.figures.style import THEMES, Figure
+from mast_zenoh.show.palette import OUTCOME_LABELS
 
 
 class Case(NamedTuple):
-    """A levelled scan, what it should find, and the number of points on each object."""
+    """A levelled scan, what it should find, the number of points on each object, and the hedges."""
 
     points: Points
     truth: ObjectStates
     on_target: Ints
+    hedges: Boxes
 
 
 def beams_of(lidar: LidarSensor, model: str) -> Beams:
@@ -61,6 +75,7 @@ def cases(seed: int, frames: int, sensor: str, model: str, clutter: Clutter) -> 
     buildings = Walls.of_buildings(recording.buildings, recording.building_height)
     pairs = zip(_columns(buildings), _columns(still.kerbs), strict=True)
     walls = Walls(*(np.concatenate(pair) for pair in pairs))
+    hedge = still.kind == KINDS.index("hedge")
     for frame in range(0, len(recording.times_ns), 5):
         truth = recording.truth_at(frame)
         pose = recording.agent_position[frame, row], recording.agent_rotation[frame, row]
@@ -84,7 +99,9 @@ def cases(seed: int, frames: int, sensor: str, model: str, clutter: Clutter) -> 
         points, source = Returns(dropout=0.02).measure(cast, beams, place, mount, reflectivity, random)
         on_target = np.bincount(source[source >= 0], minlength=len(objects.yaw))[: len(truth)]
         seen = truth.with_(position=(truth.position - origin) @ level, yaw=wrap_angle(truth.yaw - yaw))
-        yield Case(points.turned(mount), seen, on_target)
+        beside = (still.position[hedge] - origin) @ level
+        hedges = Boxes.unnamed(beside, still.size[hedge], wrap_angle(still.yaw[hedge] - yaw))
+        yield Case(points.turned(mount), seen, on_target, hedges)
 
 
 def _columns(walls: Walls) -> tuple[Floats, Floats, Floats]:
@@ -156,11 +173,15 @@ def evaluated(detector: PointDetector, scans: list[Case]) -> Found:
 
 def covered(position: Floats, middle: Floats, size: Floats, yaw: Floats) -> Ints:
     """(n,) how many positions (k, 3) m are in each of n boxes, in plan."""
+    return np.asarray(covered_by(position, middle, size, yaw).sum(axis=1))
+
+
+def covered_by(position: Floats, middle: Floats, size: Floats, yaw: Floats) -> Bools:
+    """(n, k) whether positions (k, 3) m are in each of n boxes, in plan."""
     offset = position[None, :, :2] - middle[:, None, :2]
     cosine, sine = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
     along, across = offset[..., 0] * cosine + offset[..., 1] * sine, offset[..., 1] * cosine - offset[..., 0] * sine
-    inside = (np.abs(along) < size[:, :1] / 2.0) & (np.abs(across) < size[:, 1:2] / 2.0)
-    return np.asarray(inside.sum(axis=1))
+    return np.asarray((np.abs(along) < size[:, :1] / 2.0) & (np.abs(across) < size[:, 1:2] / 2.0))
 
 
 VEHICLES = [CLASSES.index(name) for name in ("car", "truck", "bus")]
@@ -229,6 +250,104 @@ def calibration(rows: Floats) -> None:
         print(f"| {name} | {scale:.1f} | {noise:.3f} | {far:.0f} | {few:.0f} | {large:.1%} |")
 
 
+class Worst(NamedTuple):
+    """A case of a kind, how bad it is, its place (3,) m, and what is written above its picture."""
+
+    case: Case
+    detections: Detections
+    badness: float
+    place: Floats
+    title: str
+
+
+def worst_of(detector: PointDetector, scans: dict[tuple[str, str], list[Case]]) -> list[Worst]:
+    """The worst case of each kind: a bus seen from an end, a car whose near end is hidden, a hedge taken for a car."""
+    kinds: list[list[Worst]] = [[], [], []]
+    for (_, lidar), case in ((key, case) for key, of_lidar in scans.items() for case in of_lidar):
+        found, truth = detector.detect(case.points), case.truth
+        name = "scene's lidar" if lidar == "paper" else lidar
+        for row, match in zip(*matched(case, found), strict=True):
+            place, points = truth.position[row], case.on_target[row]
+            far, offset = float(np.hypot(*place[:2])), found.position[match, :2] - place[:2]
+            error, beyond = float(np.hypot(*offset)), float(offset @ place[:2]) / far
+            end_on = abs(np.cos(truth.yaw[row] - np.arctan2(place[1], place[0]))) > 0.95
+            title = f"{error:.1f} m off\n{name}, {points} points on it"
+            if truth.class_id[row] == CLASSES.index("bus") and far > 60.0 and end_on:
+                kinds[0].append(Worst(case, found, error, place, "Bus seen from an end: " + title))
+            if truth.class_id[row] == CLASSES.index("car") and beyond > 0.9 * error and hides_near_end(case, row):
+                kinds[1].append(Worst(case, found, error, place, "Car, near end hidden: " + title))
+        cars = np.flatnonzero(found.class_id == CLASSES.index("car"))
+        for row in np.setdiff1d(cars, matched(case, found)[1]):
+            place, hedges = found.position[row], case.hedges
+            if covered(place[None], hedges.position, hedges.size, hedges.yaw).any():
+                title = f"Hedge taken for a car\n{name}, score {found.score[row]:.2f}"
+                kinds[2].append(Worst(case, found, float(found.score[row]), place, title))
+    return [max(kind, key=lambda worst: worst.badness) for kind in kinds if kind]
+
+
+def hides_near_end(case: Case, row: int) -> bool:
+    """Whether an object has 10 to 30 points, none of them within 1 m of the corner that is nearest to the lidar."""
+    truth, position = case.truth.select(np.array([row])), case.points.position.astype(np.float64)
+    on_it = covered_by(position, truth.position, truth.size, truth.yaw)[0]
+    corner = np.linalg.norm(box_corners(truth.position, truth.size, truth.yaw)[0, :, :2], axis=1).min()
+    near = np.hypot(*position[on_it, :2].T).min(initial=np.inf)
+    return bool(10 <= case.on_target[row] <= 30 and near > corner + 1.0)
+
+
+#: Half of the side of a picture, m. Inches: left edge, side and distance of the panels.
+_HALF_M, _LEFT, _SIDE, _GAP = 9.0, 0.5, 2.16, 0.3
+
+
+def draw(worst: list[Worst], out: Path) -> None:
+    """Write pictures from above, side by side. The lidar is below each, so the vertical axis is the range."""
+    theme, height = THEMES["dark"], _SIDE + 0.94
+    figure = Figure(figsize=(_LEFT + 3 * (_SIDE + _GAP), height), facecolor=theme.ground)
+    entries: list[Artist] = [
+        Patch(facecolor=face(name, theme.outcomes[name]), edgecolor=theme.outcomes[name], label=label)
+        for name, label in OUTCOME_LABELS.items()
+    ]
+    entries += [Patch(facecolor=theme.building, edgecolor=theme.building_edge, label="hedge")]
+    entries += [mark_entry(".", theme.faint, "point above the ground", size=4.0)]
+    figure.set_figheight(height + draw_legend(figure, entries, theme, 8.5))
+    for column, (case, found, _, place, title) in enumerate(worst):
+        axes = figure.place(_LEFT + column * (_SIDE + _GAP), 0.44, _SIDE, _SIDE)
+        draw_ground(axes, None, theme)
+        turn, far = float(np.pi / 2.0 - np.arctan2(place[1], place[0])), float(np.hypot(*place[:2]))
+        upright = rotation_from_yaw(turn).T
+
+        def turned(
+            states: ObjectStates | Detections | Boxes, rows: Ints, turn: float = turn, upright: Floats = upright
+        ) -> Boxes:
+            return Boxes.unnamed(states.position[rows] @ upright, states.size[rows], states.yaw[rows] + turn)
+
+        true, right = matched(case, found)
+        missed, hit = np.delete(np.arange(len(case.truth)), true), case.on_target > 0
+        hedges = turned(case.hedges, np.arange(len(case.hedges)))
+        walls = PolyCollection(list(outlines(hedges)), facecolor=theme.building, edgecolor=theme.building_edge)
+        axes.add_collection(walls)
+        boxes = {
+            "unevaluated": turned(case.truth, missed[~hit[missed]]),
+            "truth matched": turned(case.truth, true),
+            "track matched": turned(found, right),
+            "truth missed": turned(case.truth, missed[hit[missed]]),
+            "track false": turned(found, np.delete(np.arange(len(found)), right)),
+        }
+        for order, (name, colour) in enumerate(theme.outcomes.items()):
+            BoxArtists(axes, colour, 3 + 0.1 * order, name, 0.8).show(boxes[name])
+        ground = float((case.truth.position[:, 2] - case.truth.size[:, 2] / 2.0).min())
+        points = case.points.position[case.points.position[:, 2] > ground + 0.2] @ upright
+        axes.plot(*points[:, :2].T, ".", ms=2.0, color=theme.faint, zorder=2)
+        axes.set(xlim=(-_HALF_M, _HALF_M), ylim=(far - _HALF_M, far + _HALF_M))
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(MultipleLocator(5.0))
+        axes.set_title(title, color=theme.ink, fontsize=8.5, loc="left", pad=4)
+        below = partial(axes.text, y=-0.11, transform=axes.transAxes, fontsize=8.5, va="top")
+        below(0.0, s="across (m)", color=theme.faint)
+        below(1.0, s=f"\u2193 lidar, {far:.0f} m", color=theme.agent, ha="right")
+    figure.axes[0].set_ylabel("from the lidar (m)", color=theme.faint, fontsize=8.5, labelpad=1)
+    figure.savefig(out, dpi=200, facecolor=theme.ground)
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -237,15 +356,20 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--frames", type=int, default=10)
     parser.add_argument("--without-clutter", action="store_true")
+    parser.add_argument("--worst", type=Path, metavar="FOLDER")
     given = parser.parse_args()
     clutter = Clutter(hedges=0, kerbs=0, signs=0, poles=0) if given.without_clutter else Clutter()
-    results = {}
+    results, scans = {}, {}
     for agent in given.agent:
         for lidar in given.lidar:
             seeds = range(1, given.seeds + 1)
-            scans = [case for seed in seeds for case in cases(seed, given.frames, agent, lidar, clutter)]
-            results[agent, lidar] = evaluated(ClusterDetector(), scans)
+            key = agent, lidar
+            scans[key] = [case for seed in seeds for case in cases(seed, given.frames, agent, lidar, clutter)]
+            results[key] = evaluated(ClusterDetector(), scans[key])
     tables(results)
+    if given.worst:
+        given.worst.mkdir(parents=True, exist_ok=True)
+        draw(worst_of(ClusterDetector(), scans), given.worst / "worst_detections.png")
 
 
 if __name__ == "__main__":

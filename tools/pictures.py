@@ -6,6 +6,7 @@ python tools/pictures.py NAME ...   some: `make pictures PICTURES="interception.
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
@@ -102,6 +103,14 @@ def cooperation(out: Path, workshop: Workshop) -> None:
     out.write_bytes((finished.path / "cooperation.png").read_bytes())
 
 
+def worst_detections(out: Path, workshop: Workshop) -> None:
+    """The figure of `python benchmarks/detector.py --worst FOLDER`."""
+    script = Path(__file__).parents[1] / "benchmarks" / "detector.py"
+    folder = workshop.folder / "worst"
+    subprocess.run([sys.executable, script, "--worst", folder], check=True, stdout=subprocess.DEVNULL)
+    out.write_bytes((folder / "worst_detections.png").read_bytes())
+
+
 #: By name of the file.
 RECIPES: dict[str, Callable[[Path, Workshop], None]] = {
     "case_study.png": case_study,
@@ -112,6 +121,7 @@ RECIPES: dict[str, Callable[[Path, Workshop], None]] = {
     "snapshot.png": snapshot,
     "side_by_side.gif": side_by_side,
     "viewer.png": viewer,
+    "worst_detections.png": worst_detections,
 }
 
 
