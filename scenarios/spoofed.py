@@ -12,7 +12,7 @@ from mast_zenoh.sensing import PointCheck, PointDetector
 from mast_zenoh.sensing.clutter import Clutter
 from mast_zenoh.study.choices import parse_choices, resolve_choice
 
-#: Attacks by name: what the spoofer does, 12 m ahead of the ego on a car that keeps its distance.
+#: Attacks by name: what the spoofer does, which keeps 10 m ahead of the ego (early_echo: 4 m).
 ATTACKS = {
     # 200 points, as many as published: a car that stands 8 m ahead.
     "phantom": dict(type="InjectedPoints", points=200, distance_m=8.0),

@@ -70,7 +70,7 @@ def first_changes(run: Run) -> list[Happening]:
             place = (round(x, 2), round(y, 2)) if effect in PLACED and np.isfinite([x, y]).all() else (None, None)
             agent = agent_in_key(str(own["wire"][first])) or ""
             kind = str(own["message"][first]) if effect == "reframed" else effect
-            what = kind if kind in (*PLACED, "view", "command") else "changed"
+            what = kind if kind in (*PLACED, "view", "command", "points") else "changed"
             text = event(name, what, cause=effect, whom=agent)
             result.append(Happening(int(own["frame"][first]), "effect", text, *place))
     return result

@@ -27,6 +27,7 @@ from mast_zenoh.runs.files import ALL, Table, are_in, column, rows
 from mast_zenoh.runs.interposers import adversaries_by_agent, interposers
 from mast_zenoh.runs.run import Run
 from mast_zenoh.runs.scans import scanned_agents, scans_of
+from mast_zenoh.runs.spoofers import spoofers
 from mast_zenoh.scenes.recording import TRUTH_COLUMNS, Recording, SceneAgent, truth_states
 from mast_zenoh.show.page.motion import Judgements, Meaning, Packer, View, motion_of, recorded_tracks, row_keys
 from mast_zenoh.show.palette import STATES, page_colours
@@ -98,6 +99,7 @@ def run_block(run: Run, frame: int | None = None, label: str = "") -> bytes | No
         "spans": periods,
         "events": _events(run, judged, periods, frames, times),
         "points": _add_points(packer, run, frames),
+        "spoofers": _add_spoofers(packer, run, numbers),
         "drives": _add_drives(packer, run, frames, times),
     }
     return packer.block(header)
@@ -449,6 +451,14 @@ def _add_points(packer: Packer, run: Run, frames: range) -> str:
     for axis, values in zip("xyz", np.concatenate(parts).T, strict=True):
         packer.add(f"points.{axis}", values, scale=_POINT)
     return run.ego
+
+
+def _add_spoofers(packer: Packer, run: Run, numbers: Ints) -> list[str]:
+    """Add `spoofers.*`: x y, world frame, of each spoofer of a lidar in all frames. Returns their adversaries."""
+    places = spoofers(run, numbers)
+    for row, axis in enumerate("xy" if places else ""):
+        packer.add(f"spoofers.{axis}", np.concatenate([place[:, row] for place in places.values()]), scale=LENGTH)
+    return list(places)
 
 
 def _by_frame(course: Table, name: str, frames: range, unknown: float) -> Floats:

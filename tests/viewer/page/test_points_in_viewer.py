@@ -10,6 +10,7 @@ from page_blocks import unpack
 
 from mast_zenoh import scenario
 from mast_zenoh.arrays.geometry import to_world
+from mast_zenoh.attacks.spoofers import Following
 from mast_zenoh.launch import run as launcher
 from mast_zenoh.runs.messages import messages
 from mast_zenoh.runs.run import Run
@@ -48,6 +49,17 @@ def test_points_are_some_of_those_received_in_the_world(scanned_run: Path) -> No
         assert np.median(apart) < 0.03
 
 
+def test_the_place_of_a_spoofer_is_that_of_its_attack(scanned_run: Path) -> None:
+    run = Run(scanned_run)
+    data = block.run_block(run)
+    assert data is not None
+    header, columns = unpack(data)
+    assert header["spoofers"] == ["spoofer_1"]
+    places = np.stack([columns["spoofers.x"], columns["spoofers.y"]], axis=1)
+    apart = np.linalg.norm(places - run.files.scene.agent_position[:FRAMES, 0, :2], axis=1)
+    np.testing.assert_allclose(apart, Following().distance_m, atol=0.02)
+
+
 def test_all_frames_together_are_limited(scanned_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(block, "_MOST_POINTS_OF_ALL", 500)
     data = block.run_block(Run(scanned_run))
@@ -64,7 +76,8 @@ def test_a_run_without_recorded_points_has_none(scanned_run: Path, tmp_path: Pat
     assert data is not None
     header, columns = unpack(data)
     assert header["points"] == ""
-    assert not any(name.startswith("points.") for name in columns)
+    assert header["spoofers"] == []
+    assert not any(name.startswith(("points.", "spoofers.")) for name in columns)
 
 
 @pytest.mark.heavy

@@ -256,6 +256,8 @@ export function legendOf(palette, runs) {
       key("moved", `<path d="M2 7H19M14 3L19 7L14 11" fill="none" stroke="${colour}" stroke-width="1.6"/>`),
     );
   }
+  if (runs.some((run) => run.header.spoofers?.length)) signs.push(key("spoofer of a lidar", `<rect x="7" y="3" width="8" height="8" fill="${palette.adversary}"/>`));
+  if (runs.some((run) => run.scanned)) signs.push(key("point of the lidar", `<circle cx="11" cy="7" r="1.5" fill="${palette.faint}"/>`));
   const spans = runs.flatMap((run) => run.spans);
   if (runs.some((run) => run.header.centre && run.agents.length)) signs.push(key("link to the command centre", `<path d="M1 7H21" stroke="${palette.faint}" stroke-width="1.4"/>`));
   if (spans.some((span) => span.cut?.length)) {

@@ -7,7 +7,7 @@ import { describe, hit, marksOf, tally } from "./marks.js";
 import { faded } from "./palette.js";
 import { cameraMarksOf } from "./perspective.js";
 import { TRUTH } from "./run.js";
-import { drawAgents, reserveSigns } from "./signs.js";
+import { drawAgents, drawSpoofers, reserveSigns } from "./signs.js";
 import { CameraWindow, screenBounds } from "./windows.js";
 
 export class Panel {
@@ -94,6 +94,7 @@ export class Panel {
       drawTwins(canvas, marks.agents, taken);
       if (layers.links) drawCentre(canvas, marks.links, taken);
       drawAgents(canvas, marks.agents, taken);
+      if (layers.manipulations) drawSpoofers(canvas, marks.frame, taken);
       if (layers.ids) drawIds(canvas, marks, taken);
       drawScale(canvas);
     }

@@ -237,6 +237,13 @@ export class Run {
     return this.columns[`${column}.${measure}`].subarray(index * this.frames, (index + 1) * this.frames);
   }
 
+  /** Names and places of the spoofers of lidars. @param {number} frame @returns {[string, number, number][]} */
+  spoofersAt(frame) {
+    const { "spoofers.x": x, "spoofers.y": y } = this.columns;
+    const names = /** @type {string[]} */ (this.header.spoofers ?? []);
+    return names.map((name, row) => [name, x[row * this.frames + frame], y[row * this.frames + frame]]);
+  }
+
   /** The agent whose lidar's points are shown; empty: none were recorded. @returns {string} */
   get scanned() {
     return this.header.points ?? "";

@@ -111,6 +111,22 @@ export function drawAgents(canvas, agents, taken) {
   }
 }
 
+/**
+ * Squares where the spoofers of lidars are.
+ * @param {import("./above.js").Canvas} canvas
+ * @param {number} frame
+ * @param {number[][]} taken by labels and signs; labels of the spoofers are added
+ */
+export function drawSpoofers(canvas, frame, taken) {
+  const { context, viewport, width, height, palette, run } = canvas;
+  for (const [name, east, north] of run.spoofersAt(frame)) {
+    const [x, y] = viewport.toScreen(east, north, width, height);
+    context.fillStyle = palette.adversary;
+    context.fillRect(x - 4, y - 4, 8, 8);
+    writeLabel(canvas, [name], around([x - 8, y - 6, x + 8, y + 6]), palette.adversary, taken);
+  }
+}
+
 /** @param {import("./marks.js").AgentMark} mark @returns {string[]} how it brakes; []: it does not */
 function brakingOf({ drive }) {
   return drive && drive.state !== "rolls" ? [`${drive.state}, ${Math.abs(drive.acceleration).toFixed(1)} m/s²`] : [];

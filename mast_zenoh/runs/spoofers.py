@@ -1,0 +1,44 @@
+"""Where the spoofers of lidars were in a run."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mast_zenoh.arrays.states import Floats, Ints
+from mast_zenoh.attacks import Attack, Surroundings
+from mast_zenoh.attacks.point_attacks import PointAttack
+from mast_zenoh.config import registry
+from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.runs.interposers import hostile
+from mast_zenoh.runs.run import Run
+from mast_zenoh.sensing.sensors import sensor_pose
+
+
+def spoofers(run: Run, frames: Ints) -> dict[str, Floats]:
+    """(n, 3) m, world frame, the place of each adversary's spoofer in n frames, whether it attacks then or not.
+
+    By adversary: those of one agent whose attack has a place, and a class that is loaded.
+    """
+    scene, places = run.files.scene, dict[str, Floats]()
+    if scene is None:
+        return places
+    for name in (adversary.name for adversary in hostile(run)):
+        config = run.node_spec(name).get("config") or {}
+        if config.get("agent") not in scene.agent_names:
+            continue
+        try:
+            attack = registry.build(config.get("attack"), Attack, f"{name}.attack")
+            known = registry.built(config.get("surroundings", {}), Surroundings, f"{name}.surroundings")
+        except ConfigurationError:
+            continue
+        if not isinstance(attack, PointAttack) or attack.place is None:
+            continue
+        row = scene.agent_names.index(config["agent"])
+        lidar = scene.agents[row].sensor
+        places[name] = np.zeros((len(frames), 3))
+        for index, (frame, time_s) in enumerate(zip(frames.tolist(), run.times(frames).tolist(), strict=True)):
+            here = scene.nearest(frame)
+            pose = scene.agent_position[here, row], scene.agent_rotation[here, row]
+            mount = sensor_pose(*pose, lidar.mount_position, lidar.mount_rotation)
+            places[name][index] = attack.place.position(time_s, mount, known)
+    return places
