@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mast_zenoh.arrays.states import Floats, Ints
-from mast_zenoh.attacks import Attack, Surroundings
+from mast_zenoh.attacks import Surroundings
 from mast_zenoh.attacks.point_attacks import PointAttack
 from mast_zenoh.config import registry
 from mast_zenoh.errors import ConfigurationError
-from mast_zenoh.runs.interposers import hostile
 from mast_zenoh.runs.run import Run
 from mast_zenoh.sensing.sensors import sensor_pose
 
@@ -22,16 +21,18 @@ def spoofers(run: Run, frames: Ints) -> dict[str, Floats]:
     scene, places = run.files.scene, dict[str, Floats]()
     if scene is None:
         return places
-    for name in (adversary.name for adversary in hostile(run)):
+    kinds = registry.known_types(PointAttack)
+    for name in run.files.scenario.get("nodes", {}):
         config = run.node_spec(name).get("config") or {}
-        if config.get("agent") not in scene.agent_names:
+        kind = (config.get("attack") or {}).get("type")
+        if kind not in kinds or config.get("agent") not in scene.agent_names:
             continue
         try:
-            attack = registry.build(config.get("attack"), Attack, f"{name}.attack")
+            attack = registry.build(config["attack"], PointAttack, f"{name}.attack")
             known = registry.built(config.get("surroundings", {}), Surroundings, f"{name}.surroundings")
         except ConfigurationError:
             continue
-        if not isinstance(attack, PointAttack) or attack.place is None:
+        if attack.place is None:
             continue
         row = scene.agent_names.index(config["agent"])
         lidar = scene.agents[row].sensor

@@ -21,6 +21,7 @@ from mast_zenoh.runs.events import node_absences, states_at, withheld_at
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.interposers import attacked_at, interposers
 from mast_zenoh.runs.run import Run
+from mast_zenoh.runs.spoofers import spoofers
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing.sensors import LidarSensor
 from mast_zenoh.show.figures.style import Theme, plain
@@ -222,6 +223,8 @@ class BirdseyePanel:
         self.inserted = points(axes, "D", theme.adversary, 14.0 * scale, 1.2 * scale, zorder=2.5)
         self.removed = points(axes, "x", theme.adversary, 16.0 * scale, 1.4 * scale, zorder=2.5)
         self.moved = LineCollection([], colors=theme.adversary, linewidths=1.5 * scale, zorder=2.5)
+        self.spoofers = points(axes, "s", theme.adversary, 6.0 * scale, 0.0, zorder=5.5)
+        self.spoofers.set(markerfacecolor=theme.adversary)
         for collection in (self._withheld, self.moved):
             axes.add_collection(collection)
         recording = run.files.scene
@@ -242,6 +245,8 @@ class BirdseyePanel:
         self.inserted.set_data(*marks.added[:, :2].T)
         self.removed.set_data(*marks.removed[:, :2].T)
         self.moved.set_segments(list(_arrows(marks.moved[:, :, :2], window)))
+        places = list(spoofers(frame.run, np.array([frame.index])).values())
+        self.spoofers.set_data(*np.concatenate([np.zeros((0, 3)), *places]).T[:2])
         if self.agents is not None:
             self.agents.show(frame.index, window, self._looks(frame))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -14,6 +15,7 @@ from mast_zenoh.metrics.estimates import OWN, TRUTH
 from mast_zenoh.runs.events import states_at, withheld_at
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.interposers import attacked_at, interposers
+from mast_zenoh.runs.spoofers import spoofers
 from mast_zenoh.show.figures.birdseye import DASHED, face
 from mast_zenoh.show.figures.style import Theme
 from mast_zenoh.show.palette import OUTCOME_LABELS
@@ -61,6 +63,8 @@ def _agents(frames: Sequence[Frame], theme: Theme) -> list[Artist]:
         # Marks have the colours of states; names, that of adversaries.
         marker, size = ("$name$", 3.0 * _MARK) if states else ("^", _MARK)
         entries.append(mark_entry(marker, theme.adversary, "adversary on its wire", size=size))
+    if any(spoofers(frame.run, np.array([frame.index])) for frame in frames):
+        entries.append(mark_entry("s", theme.adversary, "spoofer of a lidar"))
     return entries
 
 

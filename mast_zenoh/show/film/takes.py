@@ -132,10 +132,16 @@ class Attacks:
         if not self.on(frame):
             return Finding("attacked", tuple(sorted(attacked_at(self._interposers, frame))), "off")
         here = rows(self._effects, self._effects["frame"] == frame)
-        changes = Counter(here["effect"].astype(str).tolist())
-        names = tuple(sorted(set(here["interposer"].astype(str).tolist())))
-        did = tuple(Finding("effect", what=effect, value=count) for effect, count in sorted(changes.items()))
-        return Finding("attacked", names, "on", parts=did)
+        effect, names = here["effect"].astype(str), tuple(sorted(set(here["interposer"].astype(str).tolist())))
+        scans = (effect == "reframed") & (here["message"] == "points")
+        did = [Finding("effect", what=what, value=n) for what, n in sorted(Counter(effect[~scans].tolist()).items())]
+        changed = (here["points"] > 0) if "points" in here else np.zeros(len(effect), bool)
+        for what in np.unique(effect[changed]).tolist():
+            number = int(here["points"][changed & (effect == what)].sum())
+            did.append(Finding("effect", what=what, value=number, unit="points"))
+        if scans.any() and not changed.any():
+            did.append(Finding("effect", what="changed", value=int(scans.sum()), unit="scans"))
+        return Finding("attacked", names, "on", parts=tuple(did))
 
 
 class Captions:
