@@ -11,78 +11,24 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Detections, Floats, Ints
 from mast_zenoh.kernels import kernel
+from mast_zenoh.sensing.ground import Millimetres, points_and_ground
 from mast_zenoh.sensing.point_detector import PointDetector
-from mast_zenoh.sensing.points import Points, Singles
+from mast_zenoh.sensing.points import Points
 
-#: Whole millimetres.
-Millimetres = NDArray[np.int32]
-
-#: mm: no point here; farthest from the height of the lidar; side of the cells in which the ground is even.
-_NONE, _DEPTH, _GROUND_CELL = 1 << 30, 50_000, 2000
-#: mm: no road user is higher; points above are not looked at; lower than its neighbours, a point is none of the ground.
-_TALLEST, _OVERHEAD, _PIT = 4200, 4500, 100
+#: mm: no road user is higher; points above are not looked at.
+_TALLEST, _OVERHEAD = 4200, 4500
 #: mm: what is not higher may be below a bridge, or a tree; what is longer is a wall or a hedge.
 _MAY_BE_BELOW, _LONGEST = 2600, 14_000
-#: mm a mm, how fast the ground may rise over cells without points.
-_UNSEEN_SLOPE = 0.01
 #: Tangent of the angle between two channels of common lidars.
 _CHANNEL = 0.007
-#: Keeps a plane level where few points say otherwise: as many m² of points, unless steep.
-_STIFF = np.diag([0.0, 1e3, 1e3])
 #: deg, between turns of a rectangle; of them, how many are skipped in a first search.
 _TURN_DEG, _COARSE = 1.0, 5
 #: mm and cells, of the outline on which rectangles are fitted;  mm, nearer to a side all points count the same.
 _OUTLINE, _ACROSS, _NEAR = 100, 200, 50.0
-
-
-@kernel
-def lowest_by_cell(position: Singles, reach_mm: int, depth_mm: int, cell_mm: int) -> tuple[Millimetres, Millimetres]:
-    """Points (m, 4), x y z mm and cell, within reach of the lidar, and the lowest z (g, g) mm of each cell, x first.
-
-    position: (n, 3) m, of which some may not be numbers
-    reach_mm: largest x and y, depth_mm: largest z, of either sign
-    """
-    scaled, limit = position.astype(np.float64) * 1000.0, max(reach_mm, depth_mm)
-    whole = (np.where(np.abs(scaled) < limit, scaled, limit) + limit + 0.5).astype(np.int32) - limit
-    whole = whole[(np.abs(whole) < (reach_mm, reach_mm, depth_mm)).all(axis=1)]
-    side = 2 * reach_mm // cell_mm
-    cell = (whole[:, :2] + reach_mm) // cell_mm @ np.array([side, 1], np.int32)
-    lowest = np.full((side, side), _NONE, np.int32)
-    np.minimum.at(lowest.reshape(-1), cell, whole[:, 2])
-    return np.column_stack([whole, cell]), lowest
-
-
-@kernel
-def ground_surface(lowest: Millimetres, plane: Millimetres, step_mm: int, unseen_mm: int, pit_mm: int) -> Millimetres:
-    """(g, h) mm, the highest surface below the `lowest` points that is not steep, measured from a `plane` (g, h).
-
-    From a cell to the next it rises by at most `step_mm`, to one without points by `unseen_mm`, to one across a corner
-    by 1.4 times as much. A lowest point that is lower than those around it by more than `pit_mm` is raised to that.
-    """
-    seen = lowest != _NONE
-    g, h = lowest.shape
-
-    def around(height: Millimetres) -> list[Millimetres]:
-        padded = np.pad(height, 1, constant_values=_NONE)
-        return [padded[i : i + g, j : j + h] for i in range(3) for j in range(3) if (i, j) != (1, 1)]
-
-    height = np.where(seen, lowest - plane, _NONE)
-    lower = np.minimum.reduce(around(height))
-    height = np.where(seen & (lower != _NONE), np.maximum(height, lower - pit_mm), height)
-    step = np.where(seen, step_mm, unseen_mm)
-    across = step + step * 2 // 5
-    while True:
-        beside = around(height)
-        rises = (across, step, across, step, step, across, step, across)
-        surface = np.minimum.reduce([height, *(each + rise for each, rise in zip(beside, rises, strict=True))])
-        if np.array_equal(surface, height):
-            return np.asarray(surface + plane, np.int32)
-        height = surface
 
 
 @kernel
@@ -130,7 +76,7 @@ def clusters_above(
         if len(part) >= least and top <= (below if overhead else tallest) and across < longest:
             parts.append(part)
     x, y, z = points[of_point >= 0, :3].T.astype(np.float64)
-    steepest = float((z / np.sqrt(x * x + y * y + 1.0)).max(initial=-_NONE))
+    steepest = float((z / np.sqrt(x * x + y * y + 1.0)).max(initial=-(1 << 30)))
     return np.concatenate(parts), np.cumsum([len(part) for part in parts]), steepest
 
 
@@ -216,34 +162,6 @@ class Rectangles(NamedTuple):
     def select(self, rows: Bools | Ints) -> Rectangles:
         """Some of them, or all in another order."""
         return Rectangles(*(column[rows] for column in self))
-
-
-def ground_of(lowest: Millimetres, slope: float) -> Millimetres:
-    """(g, g) mm, z of the ground, from the lowest points of cells; `slope`: how steep it may be against a plane."""
-    steps = int(slope * _GROUND_CELL), int(_UNSEEN_SLOPE * _GROUND_CELL)
-    return ground_surface(lowest, _plane(lowest), *steps, _PIT)
-
-
-def _plane(lowest: Millimetres) -> Millimetres:
-    """(g, g) mm, the plane through most of the lowest points near the lidar, which is above it."""
-    middle = 2.0 * np.arange(len(lowest)) - (len(lowest) - 1.0)  # halves of cells: with mm, all sums are exact
-    cells = np.flatnonzero(lowest < 0)
-    if not len(cells):
-        return np.zeros_like(lowest)
-    z, x, y = lowest.ravel()[cells].astype(np.float64), middle[cells // len(lowest)], middle[cells % len(lowest)]
-    square = x * x + y * y
-    few = min(30, len(z) - 1)
-    near = square <= max(4.0 * float(np.partition(square, few)[few]), 30.0**2)
-    columns, z = np.stack([np.ones_like(x), x, y], axis=1)[near], z[near]
-    solution = np.array([np.partition(z, len(z) // 3)[len(z) // 3], 0.0, 0.0])
-    for band in (1000.0, 600.0, 350.0, 200.0):
-        error = z - columns @ solution
-        close = (error < band) & (error > -3.0 * band)
-        rows = columns[close]
-        if len(rows) >= 6:
-            solution = np.linalg.solve(rows.T @ rows + _STIFF, rows.T @ z[close])
-    plane = solution[0] + solution[1] * middle[:, None] + solution[2] * middle
-    return np.asarray(np.rint(plane), np.int32)
 
 
 def rectangles(points: Millimetres, start: Ints) -> Rectangles:
@@ -383,12 +301,11 @@ class ClusterDetector(PointDetector):
                 raise ValueError(f"{name}: found {getattr(self, name)}, expected {low:g} to {high:g}")
 
     def detect(self, points: Points) -> Detections:
-        reach = int(np.ceil(self.reach_m * 1000 / _GROUND_CELL)) * _GROUND_CELL
-        points_mm, lowest = lowest_by_cell(np.asarray(points.position, np.float32), reach, _DEPTH, _GROUND_CELL)
+        points_mm, ground, reach = points_and_ground(points.position, self.reach_m, self.slope)
         body = round(1000 * self.clearance_m), _OVERHEAD
         cells = round(1000 * self.cell_m), round(1000 * self.growth_m)
         limits = self.min_points, _TALLEST, _MAY_BE_BELOW, _LONGEST
-        return boxes_of(*clusters_above(points_mm, ground_of(lowest, self.slope), reach, body, *cells, limits))
+        return boxes_of(*clusters_above(points_mm, ground, reach, body, *cells, limits))
 
 
 def boxes_of(points: Millimetres, start: Ints, steepest: float) -> Detections:

@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
-from mast_zenoh.sensing.cluster_detector import ClusterDetector, ground_of, lowest_by_cell
+from mast_zenoh.sensing.cluster_detector import ClusterDetector
+from mast_zenoh.sensing.ground import points_and_ground
 from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.raycast import SweepRays
 from mast_zenoh.sensing.sensors import LidarSensor
-
-#: mm: farther returns, in x, y and z, are not looked at; side of the cells in which the ground is even.
-_REACH, _DEPTH, _GROUND_CELL = 100_000, 50_000, 2000
 
 
 def swept(scan: Mapping[str, NDArray[Any]], lidar: LidarSensor) -> dict[str, NDArray[Any]]:
@@ -28,10 +26,9 @@ def swept(scan: Mapping[str, NDArray[Any]], lidar: LidarSensor) -> dict[str, NDA
     """
     rays, usual, level = SweepRays.of(lidar), ClusterDetector(), rotation_from_quaternion(scan["level_rotation"])
     upright = Points.from_columns(scan).turned(level).position
-    whole, lowest = lowest_by_cell(np.ascontiguousarray(upright), _REACH, _DEPTH, _GROUND_CELL)
-    place = (whole[:, :2] + _REACH) // _GROUND_CELL
-    height = whole[:, 2] - ground_of(lowest, usual.slope)[place[:, 0], place[:, 1]]
-    x, y, z = (whole @ level).T / 1000.0
+    points_mm, ground, _ = points_and_ground(upright, usual.reach_m, usual.slope)
+    height = points_mm[:, 2] - ground.reshape(-1)[points_mm[:, 3]]
+    x, y, z = (points_mm[:, :3] @ level).T / 1000.0
     plan = np.hypot(x, y)
     turned = (np.arctan2(y, x) - np.radians(lidar.azimuth_min_deg)) % (2.0 * np.pi)
     raised = np.arctan2(z, plan) - np.radians(lidar.elevation_min_deg)
