@@ -133,6 +133,18 @@ def heading(rotation: Floats) -> Floats:
     return np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
 
 
+def angles_of(vectors: Floats) -> tuple[Floats, Floats]:
+    """Azimuth (...,) and elevation (...,) rad of (..., 3) vectors."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+
+
+def unit_vectors(azimuth: Floats, elevation: Floats) -> Floats:
+    """(..., 3) unit vectors with these angles, rad, which are broadcast; see `angles_of`."""
+    flat = np.cos(elevation)
+    return np.stack(np.broadcast_arrays(flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)), axis=-1)
+
+
 def to_world(points: Floats, position: Floats, rotation: Floats) -> Floats:
     """Transform (n, 3) points from a body frame to the world frame.
 

@@ -26,16 +26,7 @@
 Everything is in the world frame; the nodes convert. See docs/explanation-threat-model.md.
 """
 
-from mast_zenoh.attacks import (  # noqa: F401 (found by name)
-    attack,
-    disputes,
-    evasion,
-    flood,
-    phantoms,
-    point_phantoms,
-    real_objects,
-    road_ahead,
-)
+from mast_zenoh.attacks import disputes, evasion, flood, phantoms, point_phantoms, real_objects  # noqa: F401 (by name)
 from mast_zenoh.attacks.adaptive import AdaptiveAttack, Lies, Moment
 from mast_zenoh.attacks.attack import Attack, PassThrough, UncoordinatedAttack, alter
 from mast_zenoh.attacks.campaign import Propagation

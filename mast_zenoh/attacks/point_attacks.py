@@ -7,21 +7,23 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from math import inf
 from typing import Literal
 
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
-from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.geometry import angles_of, wrap_angle
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.attacks.attack import Attack, ObjectsUnchanged
 from mast_zenoh.attacks.campaign import NANOSECONDS
 from mast_zenoh.attacks.spoofers import Following, Spoofer
 from mast_zenoh.attacks.surroundings import UNKNOWN, Surroundings
 from mast_zenoh.sensing.points import Points
-from mast_zenoh.sensing.sectors import BeamMemory, LidarMotion, Sector
+from mast_zenoh.sensing.sectors import BeamMemory, NoBeams, Sector
 from mast_zenoh.streams import stream
 
 #: m, of what a pulse travels there and back in a microsecond.
@@ -32,14 +34,13 @@ METRES_PER_US = 150.0
 class AttackedScan:
     """A scan under attack.
 
-    time_s:  s of scene time;  points: as measured;  motion: of the lidar;  lidar: its position and rotation
+    time_s:  s of scene time;  points: as measured;  lidar: its position and rotation
     towards: (3,) m, the spoofer in the frame of the lidar; ahead of it if there is none
     random:  the stream of this scan;  memory: of the lidar
     """
 
     time_s: float
     points: Points
-    motion: LidarMotion
     lidar: tuple[Floats, Floats]
     towards: Floats
     random: np.random.Generator
@@ -48,12 +49,11 @@ class AttackedScan:
     @property
     def bearing(self) -> float:
         """rad, azimuth of the spoofer."""
-        return float(np.arctan2(self.towards[1], self.towards[0]))
+        return float(angles_of(self.towards)[0])
 
-    def sector(self, azimuth: float, half_rad: float) -> Sector | None:
-        """The firings within `half_rad` of an azimuth, both rad; None: none, or the points do not say their times."""
-        near = self.memory.near(self.points, azimuth, half_rad)
-        return near if near is not None and len(near.time_s) else None
+    def sector(self, towards: Floats, half_rad: float) -> Sector:
+        """The firings within `half_rad` of the azimuth of (3,) m; raises NoBeams: then the scan stays as it is."""
+        return self.memory.near(self.points, float(angles_of(towards)[0]), half_rad)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -90,7 +90,7 @@ class PointAttack(ObjectsUnchanged, Attack):
 
     def forge_points(self, frame: int, time_ns: int, points: Points, lidar: tuple[Floats, Floats]) -> Points:
         time_s = time_ns / NANOSECONDS
-        motion = self._memory.move(time_s, *lidar)
+        self._memory.move(time_s, *lidar)
         self._overhear(time_s, points)
         offset = None if self.place is None else self.place.position(time_s, lidar, self._surroundings) - lidar[0]
         across = self._speed_across(time_s, offset)
@@ -99,11 +99,13 @@ class PointAttack(ObjectsUnchanged, Attack):
         random = stream(self._seed, self._surroundings.scene, self._name, "spoofer", frame)
         towards = np.array([1.0, 0.0, 0.0]) if offset is None else offset @ lidar[1]
         if self.place is not None:
-            aim = self.place.aim(float(np.linalg.norm(towards)), across)
-            hit = random.random() < aim * self.success * self._covers(float(np.linalg.norm(towards)))
+            distance = float(np.linalg.norm(towards))
+            hit = random.random() < self.place.aim(distance, across) * self.success * self._covers(distance)
             if not hit or not self.place.in_sight(points, towards):
                 return points
-        return self._forged(AttackedScan(time_s, points, motion, lidar, towards, random, self._memory))
+        with suppress(NoBeams):
+            return self._forged(AttackedScan(time_s, points, lidar, towards, random, self._memory))
+        return points
 
     def _speed_across(self, time_s: float, offset: Floats | None) -> float:
         """m/s, of the lidar across the line of sight; offset: (3,) m, from the lidar to the spoofer"""
@@ -123,27 +125,17 @@ class PointAttack(ObjectsUnchanged, Attack):
 
     @abstractmethod
     def _forged(self, scan: AttackedScan) -> Points:
-        """What the lidar delivers instead."""
+        """What the lidar delivers instead; NoBeams: nothing else."""
 
 
-def _four_metres_ahead() -> Spoofer:
-    return Following(distance_m=4.0)
-
-
-#: By lidar: asked width, deg; P(removal); mean and deviation of the width if it is removed, deg. From the share of
+#: By lidar and asked width, deg: P(removal); mean and deviation of the width if it is removed, deg. From the share of
 #: frames, median and 90th percentile of each recording (Keio-CSG/lidar-spoofing-artifacts@0d2c3de,
 #: docs/attack_check.json). The latter are of all frames, so they are quantiles of the removed ones after those without
 #: effect. The median of 40 deg is of frames without effect: it has the deviation of its neighbours.
-_WIDTHS = {
-    "AT128": np.array(
-        [(0, 1.0, 0, 0), (10, 1.0, 15, 0.4), (20, 1.0, 20, 3.1), (30, 0.79, 20.9, 2.7), (40, 0.414, 15.2, 4.0),
-         (50, 0.821, 11.3, 4.85), (60, 0.568, 16.9, 3.3)]
-    ),
-    "XT32": np.array(
-        [(0, 1.0, 0, 0), (10, 1.0, 9, 0.8), (20, 1.0, 13, 0.8), (30, 1.0, 13, 0.8), (40, 1.0, 13, 0.8),
-         (50, 0.94, 13, 0.8), (60, 0.889, 13, 0.8)]
-    ),
-}  # fmt: skip
+_ASKED_DEG = (0, 10, 20, 30, 40, 50, 60)
+_SHARE = {"AT128": (1.0, 1.0, 1.0, 0.79, 0.414, 0.821, 0.568), "XT32": (1.0, 1.0, 1.0, 1.0, 1.0, 0.94, 0.889)}
+_MEAN_DEG = {"AT128": (0, 15, 20, 20.9, 15.2, 11.3, 16.9), "XT32": (0, 9, 13, 13, 13, 13, 13)}
+_DEVIATION_DEG = {"AT128": (0, 0.4, 3.1, 2.7, 4.0, 4.85, 3.3), "XT32": (0, 0.8, 0.8, 0.8, 0.8, 0.8, 0.8)}
 #: Share of frames in which plain HFR works against a lidar with pulse fingerprints: 0.3 % at 5, 0.6 % at 15 MHz (same).
 _FINGERPRINTED = 0.0045
 
@@ -178,20 +170,16 @@ class HighFrequencyRemoval(PointAttack):
         super().__post_init__()
         check("more than 0, finite", sector_deg=self.sector_deg, frequency_mhz=self.frequency_mhz)
         check("0 or more, finite", min_range_m=self.min_range_m)
-        asked = _WIDTHS[self.lidar]
-        self._share, self._mean, self._deviation = (
-            float(np.interp(self.sector_deg, asked[:, 0], column)) for column in asked.T[1:]
-        )
+        tables = (of[self.lidar] for of in (_SHARE, _MEAN_DEG, _DEVIATION_DEG))
+        self._share, self._mean, self._deviation = (float(np.interp(self.sector_deg, _ASKED_DEG, of)) for of in tables)
 
     def _covers(self, distance_m: float) -> float:
         return self._share if self.adaptive or not self.fingerprinting else _FINGERPRINTED
 
     def _forged(self, scan: AttackedScan) -> Points:
-        width = max(scan.random.normal(self._mean, self._deviation), 0.0)
-        sector = scan.sector(scan.bearing, np.radians(width) / 2)
-        if sector is None:
-            return scan.points
-        inside = np.abs(wrap_angle(sector.angles()[0] - scan.bearing)) <= np.radians(width) / 2
+        half = np.radians(max(scan.random.normal(self._mean, self._deviation), 0.0)) / 2
+        sector = scan.sector(scan.towards, half)
+        inside = np.abs(wrap_angle(sector.angles()[0] - scan.bearing)) <= half
         apart = METRES_PER_US / self.frequency_mhz
         return sector.changed(inside, self.min_range_m + apart * scan.random.random(inside.shape))
 
@@ -208,7 +196,7 @@ class EarlyEcho(PointAttack):
     sector_deg: deg, width around the spoofer;  reach_m: m, farthest spoofer that has an effect
     """
 
-    place: Spoofer | None = field(default_factory=_four_metres_ahead)
+    place: Spoofer | None = field(default_factory=partial(Following, distance_m=4.0))
     sector_deg: float = 30.0
     reach_m: float = 5.0
 
@@ -221,9 +209,7 @@ class EarlyEcho(PointAttack):
 
     def _forged(self, scan: AttackedScan) -> Points:
         half = np.radians(self.sector_deg) / 2
-        sector = scan.sector(scan.bearing, half)
-        if sector is None:
-            return scan.points
+        sector = scan.sector(scan.towards, half)
         inside = np.abs(wrap_angle(sector.angles()[0] - scan.bearing)) <= half
         return sector.changed(inside, np.full(inside.shape, np.inf))
 
@@ -250,11 +236,9 @@ class Saturation(PointAttack):
         check("0 to 1", noise=self.noise)
 
     def _forged(self, scan: AttackedScan) -> Points:
-        sector = scan.sector(scan.bearing, np.radians(self.cone_deg))
-        if sector is None:
-            return scan.points
+        sector = scan.sector(scan.towards, np.radians(self.cone_deg))
         azimuth, elevation = sector.angles()
-        up = np.arctan2(scan.towards[2], np.hypot(*scan.towards[:2]))
+        up = angles_of(scan.towards)[1]
         cosine = np.sin(elevation) * np.sin(up) + np.cos(elevation) * np.cos(up) * np.cos(azimuth - scan.bearing)
         random = scan.random.random((2, *azimuth.shape))
         range_m = np.where(random[0] < self.noise, 0.5 + random[1] * self.longest_m, np.inf)

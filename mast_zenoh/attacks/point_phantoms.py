@@ -11,12 +11,12 @@ from typing import Literal
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
-from mast_zenoh.arrays.geometry import heading, rotation_from_yaw, wrap_angle
+from mast_zenoh.arrays.geometry import angles_of, heading, rotation_from_yaw, wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats
 from mast_zenoh.attacks.point_attacks import AttackedScan, PointAttack
 from mast_zenoh.attacks.spoofers import Following, Spoofer
 from mast_zenoh.sensing.beams import Beams
-from mast_zenoh.sensing.points import Points
+from mast_zenoh.sensing.points import Points, Singles
 from mast_zenoh.sensing.scan import Moving, cast
 from mast_zenoh.sensing.sectors import Sector, chords, nearest, ordered
 from mast_zenoh.sensing.shapes import Parts
@@ -85,24 +85,20 @@ class InjectedPoints(PointAttack):
         check("more than 0, finite", distance_m=self.distance_m, size=min(self.size), reach_deg=min(self.reach_deg))
         for name in ("jitter_deg", "noise_m", "noise_per_deg_m", "closing_mps"):
             check("0 or more, finite", **{name: getattr(self, name)})
-        kind = np.array([CLASS_INDEX[self.what]])
-        self._parts = Parts.of(kind, np.array([self.size]))
+        self._parts = Parts.of(np.array([CLASS_INDEX[self.what]]), np.array([self.size]))
 
     def _forged(self, scan: AttackedScan) -> Points:
         closest = min(4.0, self.distance_m)
         distance = max(self.distance_m - self.closing_mps * (scan.time_s - self.start_s), closest) + self.size[0] / 2
-        ahead = np.arctan2(*(scan.lidar[1] @ scan.towards)[1::-1]) + np.radians(self.angle_deg)
+        ahead = angles_of(scan.lidar[1] @ scan.towards)[0] + np.radians(self.angle_deg)
         height = ground_below(scan.points, scan.lidar[1]) + self.size[2] / 2
         middle = np.array([distance * np.cos(ahead), distance * np.sin(ahead), height])
-        seen_at = middle @ scan.lidar[1]
         half = np.arctan2(float(np.hypot(*self.size[:2])) / 2, distance) + np.radians(2.0)
-        sector = scan.sector(float(np.arctan2(seen_at[1], seen_at[0])), half)
-        if sector is None:
-            return scan.points
+        sector = scan.sector(middle @ scan.lidar[1], half)
         range_m = self._jittered(sector, scan, sector.to_shape(middle, ahead + np.radians(self.yaw_deg), self._parts))
         azimuth, elevation = sector.angles()
         aside = np.degrees(np.abs(wrap_angle(azimuth - scan.bearing)))
-        above = np.degrees(np.abs(elevation - np.arctan2(scan.towards[2], np.hypot(*scan.towards[:2]))))
+        above = np.degrees(np.abs(elevation - angles_of(scan.towards)[1]))
         deviation = self.noise_m + self.noise_per_deg_m * np.hypot(aside, above)
         allowed = np.isfinite(range_m) & (aside <= self.reach_deg[0]) & (above <= self.reach_deg[1])
         range_m = range_m + deviation * scan.random.standard_normal(range_m.shape)
@@ -140,7 +136,6 @@ class CaoInjection(InjectedPoints):
 class SunInjection(InjectedPoints):
     """Injects up to 200 points 5 to 8 m ahead, as Sun et al., USENIX Security 2020 (arXiv 2006.16974): about 80 %."""
 
-    points: int = 200
     distance_m: float = 6.5
 
 
@@ -194,11 +189,8 @@ class Mirror(PointAttack):
         position, rotation = scan.lidar
         axes = rotation.T @ rotation_from_yaw(np.radians(self.yaw_deg))  # columns: normal, across, up
         middle = (np.array([self.x, self.y, self.z]) - position) @ rotation
-        away = float(np.linalg.norm(middle))
-        half = np.arctan2(np.hypot(self.width_m, self.height_m) / 2, away) + 0.02
-        sector = scan.sector(float(np.arctan2(middle[1], middle[0])), half)
-        if sector is None:
-            return scan.points
+        half = np.arctan2(np.hypot(self.width_m, self.height_m) / 2, np.linalg.norm(middle)) + 0.02
+        sector = scan.sector(middle, half)
         to_mirror = self._along(sector.directions().reshape(-1, 3), middle, axes).reshape(sector.row.shape)
         meets = to_mirror < sector.range_m
         real = scan.points.position.astype(np.float64)
@@ -254,12 +246,10 @@ class ForgedMesh(PointAttack):
         bearing, yaw = facing + np.radians(self.angle_deg), facing + np.radians(self.yaw_deg)
         aside = self.distance_m * np.cos(bearing), self.distance_m * np.sin(bearing)
         middle = np.array([*aside, ground + self.size[2] / 2])
-        sector = scan.sector(float(np.arctan2(*(middle @ rotation)[1::-1])), np.pi)
-        if sector is None:
-            return scan.points
-        made = (self._without if self.remove else self._with_car)(scan, middle, yaw)
-        firing, channel, _ = sector.beams_at(made.position.astype(np.float64))
-        new = Points(made.position, made.intensity, sector.time_s[firing], sector.calibration.channel[channel])
+        sector = scan.sector(middle @ rotation, np.pi)
+        made, intensity = (self._without if self.remove else self._with_car)(scan, middle, yaw)
+        firing, channel, _ = sector.beams_at(made.astype(np.float64))
+        new = Points(made, intensity, sector.time_s[firing], sector.calibration.channel[channel])
         kept = self._kept(scan, middle, yaw)
         return ordered(Points.joined([scan.points.select(kept), new]))
 
@@ -272,7 +262,8 @@ class ForgedMesh(PointAttack):
         along = (level - middle) @ rotation_from_yaw(yaw)
         return np.asarray(~(np.abs(along[:, :2]) <= (np.array(self.size[:2]) + 0.6) / 2).all(axis=1))
 
-    def _with_car(self, scan: AttackedScan, middle: Floats, yaw: float) -> Points:
+    def _with_car(self, scan: AttackedScan, middle: Floats, yaw: float) -> tuple[Singles, Singles]:
+        """Positions (k, 3) m and intensities (k,) of a car's points, in the lidar's frame."""
         away = max(float(np.hypot(*middle[:2])), 1e-9)
         eye = np.append(middle[:2] * (1.0 - 10.0 / away), 0.0)
         azimuth, elevation = np.radians(np.arange(-180.0, 180.0, 0.2)), np.radians(np.arange(-15.0, 5.0, 0.2))
@@ -282,10 +273,11 @@ class ForgedMesh(PointAttack):
         objects = Moving(middle[None], still[0], np.array([yaw]), still[2])
         found = cast(beams, Moving(eye[None], *still), np.eye(3), objects, parts, ground_m=-1e9)
         met = found.source == 0
-        made = Points.of((beams.directions()[met] * found.range_m[met][:, None] + eye) @ scan.lidar[1])
-        return Points(made.position, np.full(len(made), 0.5, np.float32), made.time_s, made.channel)
+        made = (beams.directions()[met] * found.range_m[met][:, None] + eye) @ scan.lidar[1]
+        return made.astype(np.float32), np.full(len(made), 0.5, np.float32)
 
-    def _without(self, scan: AttackedScan, middle: Floats, yaw: float) -> Points:
+    def _without(self, scan: AttackedScan, middle: Floats, yaw: float) -> tuple[Singles, Singles]:
+        """Positions (k, 3) m and intensities (k,) of the points behind a car that is removed, in the lidar's frame."""
         gone = scan.points.select(~self._kept(scan, middle, yaw))
         level = (gone.position @ scan.lidar[1].T).astype(np.float64)
         walls = np.array([self.size]) + np.array([0.6, 0.6, 0.0])
@@ -293,4 +285,4 @@ class ForgedMesh(PointAttack):
         on_wall = np.where(scan.random.random(len(gone)) < 0.5, enter, leave)
         some = (enter <= leave) & (on_wall > 0.0)
         moved = (level * on_wall[:, None])[some] @ scan.lidar[1]
-        return Points(moved.astype(np.float32), gone.intensity[some], gone.time_s[some], gone.channel[some])
+        return moved.astype(np.float32), gone.intensity[some]

@@ -4,7 +4,7 @@ from mast_zenoh.sensing.beams import MODELS, Beams, LidarModel
 from mast_zenoh.sensing.cluster_detector import ClusterDetector
 from mast_zenoh.sensing.clutter import Clutter
 from mast_zenoh.sensing.detection_model import CleanDetector, DetectionModel, Detector, LastingErrors
-from mast_zenoh.sensing.point_checks import CheckedDetector, OcclusionCheck, PointCheck, ShadowCheck, TemporalCheck
+from mast_zenoh.sensing.point_checks import CheckedDetector, PointCheck
 from mast_zenoh.sensing.point_detector import NoDetections, PointDetector
 from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.raycast import Walls, lidar_points
@@ -29,15 +29,12 @@ __all__ = [
     "LidarSensor",
     "Moving",
     "NoDetections",
-    "OcclusionCheck",
     "Parts",
     "PointCheck",
     "PointDetector",
     "Points",
     "Returns",
     "Scan",
-    "ShadowCheck",
-    "TemporalCheck",
     "Walls",
     "cast",
     "in_view",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mast_zenoh.arrays.geometry import unit_vectors
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.sensing.sensors import LidarSensor
 
@@ -52,10 +53,7 @@ class Beams:
 
     def directions(self) -> Floats:
         """(m, c, 3) unit vectors in the frame of the lidar."""
-        azimuth = self.azimuth[:, None] + self.offset
-        flat = np.cos(self.elevation)
-        rise = np.broadcast_to(np.sin(self.elevation), azimuth.shape)
-        return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), rise], axis=-1)
+        return unit_vectors(self.azimuth[:, None] + self.offset, self.elevation)
 
 
 @dataclass(frozen=True)
@@ -105,21 +103,19 @@ def _even(low: float, high: float, count: int) -> tuple[float, ...]:
     return tuple(np.linspace(low, high, count).tolist())
 
 
-#: deg, of the VLP-32C: elevation and azimuth of each channel.
-_VLP_32C = (
+#: deg, of the channels of the VLP-32C: elevations and azimuths.
+_VLP_32C_ELEVATION, _VLP_32C_OFFSET = zip(
     (-25.0, 1.4), (-15.639, -1.4), (-11.31, 1.4), (-8.843, -1.4), (-7.254, 1.4), (-6.148, -1.4), (-5.333, 4.2),
     (-4.667, 1.4), (-4.0, -1.4), (-3.667, -4.2), (-3.333, 4.2), (-3.0, 1.4), (-2.667, -1.4), (-2.333, -4.2),
     (-2.0, 4.2), (-1.667, 1.4), (-1.333, -1.4), (-1.0, -4.2), (-0.667, 4.2), (-0.333, 1.4), (0.0, -1.4),
     (0.333, -4.2), (0.667, 4.2), (1.0, 1.4), (1.333, -1.4), (1.667, -4.2), (2.333, 1.4), (3.333, -1.4),
-    (4.667, 1.4), (7.0, -1.4), (10.333, 1.4), (15.0, -1.4),
+    (4.667, 1.4), (7.0, -1.4), (10.333, 1.4), (15.0, -1.4), strict=True,
 )  # fmt: skip
 
 #: Common lidars at 10 turns a second, by name.
 MODELS = {
     "VLP-16": LidarModel(_even(-15.0, 15.0, 16), 1800, (0.5, 100.0), "Velodyne 63-9229"),
-    "VLP-32C": LidarModel(
-        tuple(each for each, _ in _VLP_32C), 1800, (0.5, 200.0), "Velodyne 63-9325", tuple(each for _, each in _VLP_32C)
-    ),
+    "VLP-32C": LidarModel(_VLP_32C_ELEVATION, 1800, (0.5, 200.0), "Velodyne 63-9325", _VLP_32C_OFFSET),
     "HDL-32E": LidarModel(_even(-30.67, 10.67, 32), 1800, (0.9, 100.0), "Velodyne 97-0038"),
     "HDL-64E": LidarModel(
         (*_even(-24.33, -8.83, 32), *_even(-8.33, 2.0, 32)), 2083, (0.9, 120.0), "Velodyne 63-HDL64ES3"

@@ -16,13 +16,14 @@ from mast_zenoh.sensing.raycast import Walls
 KINDS = ("hedge", "sign", "post", "pole")
 #: By kind: share of light that is reflected (trees: Wehr and Lohr 1999, table 1; others assumed).
 _REFLECTIVITY = (0.6, 1.0, 0.3, 0.3)
-#: m, (l, w, h) from and to, by kind, kerbs last; and of the lower edge above the ground: usual sizes, assumed.
+#: m, (l, w, h) from and to, and of the lower edge above the ground: usual sizes, assumed; in the order of placement.
 _SIZES = {
     "hedge": ((3.0, 0.6, 0.8), (12.0, 1.5, 2.2), 0.0),
+    "kerb": ((6.0, 0.15, 0.1), (25.0, 0.3, 0.15), 0.0),
     "sign": ((0.05, 0.6, 0.6), (0.05, 0.9, 0.9), 2.0),
     "pole": ((0.15, 0.15, 5.0), (0.25, 0.25, 8.0), 0.0),
-    "kerb": ((6.0, 0.15, 0.1), (25.0, 0.3, 0.15), 0.0),
 }
+_ROW = {name: row for row, name in enumerate((*KINDS, "kerb"))}
 _POST_M = 0.08
 #: How often a place is looked for, m to the farthest one from what moves, m around a point that show its direction.
 _TRIES, _BESIDE_M, _AROUND_M = 30, 8.0, 6.0
@@ -82,31 +83,24 @@ class Clutter:
         buildings: outlines, each (c, 2) m;  extent: (2, 2) m, the lowest and the highest x and y
         """
         ways, reach = _sparse(occupied, radius)
-        site = _Site(ways, reach + self.gap_m, [np.asarray(each) for each in buildings], self.gap_m, extent)
-        boxes: list[tuple[float, ...]] = []
-        kerbs: list[tuple[Floats, Floats, float]] = []
-        for name, count in (("hedge", self.hedges), ("kerb", self.kerbs), ("sign", self.signs), ("pole", self.poles)):
-            least, most, above = _SIZES[name]
+        site = _Site(ways, reach + self.gap_m, buildings, self.gap_m, extent)
+        placed: list[tuple[float, ...]] = []
+        counts = (self.hedges, self.kerbs, self.signs, self.poles)
+        for (name, (least, most, above)), count in zip(_SIZES.items(), counts, strict=True):
             for _ in range(count if len(ways) else 0):
                 size = random.uniform(least, most)
-                if (placed := site.find(size, random)) is None:
-                    continue
-                (x, y), yaw = placed
-                if name == "kerb":
-                    half = size[0] / 2 * np.array([np.cos(yaw), np.sin(yaw)])
-                    kerbs.append((placed[0] - half, placed[0] + half, ground_m + size[2]))
-                    continue
-                boxes.append((x, y, ground_m + above + size[2] / 2, *size, yaw, KINDS.index(name)))
-                if name == "sign":
-                    boxes.append((x, y, ground_m + above / 2, _POST_M, _POST_M, above, yaw, KINDS.index("post")))
-        columns = np.array(boxes, np.float64).reshape(-1, 8)
-        kind = columns[:, 7].astype(np.int64)
-        walls = Walls(
-            np.array([start for start, _, _ in kerbs]).reshape(-1, 2),
-            np.array([end for _, end, _ in kerbs]).reshape(-1, 2),
-            np.array([top for _, _, top in kerbs], np.float64),
-        )
-        return StillObjects(columns[:, :3], columns[:, 3:6], columns[:, 6], kind, np.array(_REFLECTIVITY)[kind], walls)
+                if (place := site.find(size, random)) is not None:
+                    (x, y), yaw = place
+                    placed.append((x, y, ground_m + above + size[2] / 2, *size, yaw, _ROW[name]))
+                    if name == "sign":
+                        placed.append((x, y, ground_m + above / 2, _POST_M, _POST_M, above, yaw, _ROW["post"]))
+        columns = np.array(placed, np.float64).reshape(-1, 8)
+        is_kerb = columns[:, 7] == _ROW["kerb"]
+        boxes, kerbs = columns[~is_kerb], columns[is_kerb]
+        half = kerbs[:, 3:4] / 2 * np.stack([np.cos(kerbs[:, 6]), np.sin(kerbs[:, 6])], axis=1)
+        walls = Walls(kerbs[:, :2] - half, kerbs[:, :2] + half, ground_m + kerbs[:, 5])
+        kind = boxes[:, 7].astype(np.int64)
+        return StillObjects(boxes[:, :3], boxes[:, 3:6], boxes[:, 6], kind, np.array(_REFLECTIVITY)[kind], walls)
 
 
 def _sparse(occupied: Floats, radius: Floats) -> tuple[Floats, Floats]:
@@ -122,7 +116,7 @@ class _Site(NamedTuple):
 
     ways: Floats
     reach: Floats
-    buildings: list[Floats]
+    buildings: Sequence[Floats]
     gap_m: float
     extent: Floats
 
@@ -157,15 +151,9 @@ class _Site(NamedTuple):
         start = (outline - position) @ turn
         span = np.roll(start, -1, axis=0) - start
         half = size[:2] / 2 + self.gap_m
-        with np.errstate(divide="ignore", invalid="ignore"):  # slabs: from where to where an edge is inside the box
-            one, other = (-half - start) / span, (half - start) / span
-        inside = np.abs(start) <= half
-        enter = np.where(span == 0.0, np.where(inside, -np.inf, np.inf), np.minimum(one, other)).max(axis=1)
-        leave = np.where(span == 0.0, np.where(inside, np.inf, -np.inf), np.maximum(one, other)).min(axis=1)
-        if (np.maximum(enter, 0.0) <= np.minimum(leave, 1.0)).any():
-            return True
-        end = start + span
-        crosses = (start[:, 1] > 0.0) != (end[:, 1] > 0.0)  # of a ray along x from the middle
-        with np.errstate(divide="ignore", invalid="ignore"):
-            at = start[:, 0] - start[:, 1] * span[:, 0] / span[:, 1]
-        return bool((crosses & (at > 0.0)).sum() % 2)
+        slope = np.where(np.abs(span) < 1e-12, 1e-12, span)
+        one, other = (-half - start) / slope, (half - start) / slope  # slabs: where an edge enters and leaves the box
+        enter, leave = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+        crosses = (start[:, 1] > 0.0) != (start[:, 1] + span[:, 1] > 0.0)  # of a ray along x from the middle
+        ahead = start[:, 0] - start[:, 1] * span[:, 0] / slope[:, 1] > 0.0
+        return bool((np.maximum(enter, 0.0) <= np.minimum(leave, 1.0)).any() or (crosses & ahead).sum() % 2)

@@ -12,7 +12,8 @@ from typing import ClassVar
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
-from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.geometry import angles_of, wrap_angle
+from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Detections, Floats
 from mast_zenoh.sensing.point_detector import PointDetector
 from mast_zenoh.sensing.points import Points
@@ -75,24 +76,18 @@ def penetration(points: Points, found: Detections) -> Floats:
     size = np.column_stack([np.maximum(found.size[solid, :2] * _FILLED - _BOX_ERROR_M, 0.2), high - low])
     middle = np.column_stack([found.position[solid, :2], (low + high) / 2])
     yaw, range_m = found.yaw[solid], points.range_m().astype(np.float64)
-    bearing = np.arctan2(points.position[:, 1], points.position[:, 0])
+    bearing, azimuth = np.arctan2(points.position[:, 1], points.position[:, 0]), angles_of(middle)[0]
     for place, row in enumerate(solid):
         aside = np.hypot(*size[place, :2]) / 2 / max(float(np.hypot(*middle[place, :2])), 0.1)
-        near = np.flatnonzero(
-            np.abs(wrap_angle(bearing - np.arctan2(middle[place, 1], middle[place, 0]))) <= 1.6 * aside
-        )
+        near = np.flatnonzero(np.abs(wrap_angle(bearing - azimuth[place])) <= 1.6 * aside)
         beam = points.position[near] / np.maximum(range_m[near, None], 1e-9)
-        one = slice(place, place + 1)
-        enter, leave = (each[:, 0] for each in chords(beam, middle[one], size[one], yaw[one]))
-        reached = (enter <= leave) & (enter > 0.0) & (range_m[near] > enter - _reach(found.size[row], size[place]))
+        boxes = middle[place, None], size[place, None], yaw[place, None]
+        enter, leave = (each[:, 0] for each in chords(beam, *boxes))
+        surface_m = float(np.hypot(*(found.size[row, :2] - size[place, :2]))) + _BOX_ERROR_M  # at most, before the body
+        reached = (enter <= leave) & (enter > 0.0) & (range_m[near] > enter - surface_m)
         if np.count_nonzero(reached) >= _FEW:
             shares[row] = np.mean(range_m[near][reached] > leave[reached] + _BEHIND_M)
     return shares
-
-
-def _reach(whole: Floats, body: Floats) -> float:
-    """m before the middle of a body at which its own surface may be."""
-    return float(np.hypot(*(whole[:2] - body[:2]))) + _BOX_ERROR_M
 
 
 class ShadowCheck(PointCheck):
@@ -118,10 +113,8 @@ class ShadowCheck(PointCheck):
 
     def check(self, points: Points, found: Detections) -> Floats:
         plausible = np.ones(len(found))
-        if not len(points):
-            return plausible
         position = points.position.astype(np.float64)
-        flat, bearing = np.hypot(position[:, 0], position[:, 1]), np.arctan2(position[:, 1], position[:, 0])
+        flat, bearing = np.hypot(position[:, 0], position[:, 1]), angles_of(position)[0]
         slope = position[:, 2] / np.maximum(flat, 1e-9)
         for row in range(len(found)):
             middle, size = found.position[row], found.size[row]
@@ -173,16 +166,13 @@ class TemporalCheck(PointCheck):
         moved = tracks[:, :2] + np.nan_to_num(tracks[:, 2:4]) * (1.0 + tracks[:, 5:6])
         gate = np.where(np.isnan(tracks[:, 2]), self._fastest_m, self._gate_m) * (1.0 + 0.5 * tracks[:, 5])
         apart = np.linalg.norm(found.position[:, None, :2] - moved[None], axis=2)
-        apart = np.where(apart <= gate, apart, np.inf)
+        row, track = np.nonzero(apart <= gate)
+        pairs = greedy_matching(row, track, apart[row, track])
         rows = np.full(len(found), -1)
-        while apart.size and np.isfinite(apart.min()):
-            row, track = np.unravel_index(int(apart.argmin()), apart.shape)
-            rows[row] = track
-            apart[row], apart[:, track] = np.inf, np.inf
+        rows[row[pairs]] = track[pairs]
         new = rows < 0
-        if before is not None and new.any():
-            fresh = found.select(new)
-            plausible[new] = 1.0 - penetration(before, fresh)
+        if before is not None:
+            plausible[new] = 1.0 - penetration(before, found.select(new))
         old = tracks[rows[~new]]
         plausible[~new] = np.where(old[:, 6] >= self._forgive, 1.0, old[:, 4])
         unknown, none = np.full((len(found), 2), np.nan), np.zeros((len(found), 2))

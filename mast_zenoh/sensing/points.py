@@ -49,8 +49,7 @@ class Points:
     @classmethod
     def joined(cls, parts: Sequence[Points]) -> Points:
         """The points of several, in their order."""
-        if not parts:
-            return cls.empty()
+        parts = [cls.empty(), *parts]
         return cls(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(cls)))
 
     @classmethod
@@ -72,10 +71,8 @@ class Points:
 
     def range_m(self) -> Singles:
         """(n,) float32, m, from the lidar."""
-        distance: Singles = np.sqrt(np.einsum("ij,ij->i", self.position, self.position))
-        return distance
+        return np.asarray(np.sqrt(np.einsum("ij,ij->i", self.position, self.position)))
 
     def keys(self) -> Ints:
         """(n,) int64, the same number for the same beam of two scans with the same timing."""
-        time: NDArray[np.int32] = np.ascontiguousarray(self.time_s).view(np.int32)
-        return time.astype(np.int64) * 256 + self.channel
+        return np.ascontiguousarray(self.time_s).view(np.int32).astype(np.int64) * 256 + self.channel

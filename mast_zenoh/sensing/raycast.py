@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.geometry import box_corners, to_local, wrap_angle
+from mast_zenoh.arrays.geometry import box_corners, to_local, unit_vectors, wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints, ObjectStates
 from mast_zenoh.kernels import kernel
 from mast_zenoh.sensing.sensors import LidarSensor
@@ -302,13 +302,7 @@ class SweepRays:
 
     def directions(self) -> Floats:
         """(rays, 3) unit vectors in the sensor frame, by azimuth, then channel."""
-        azimuth, elevation = self.lidar.azimuths[:, None], self.lidar.elevations[None, :]
-        parts = (
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation + 0.0 * azimuth),
-        )
-        return np.stack(parts, axis=-1).reshape(-1, 3)
+        return unit_vectors(self.lidar.azimuths[:, None], self.lidar.elevations).reshape(-1, 3)
 
     def background(self, position: Floats, rotation: Floats, walls: Walls) -> Floats:
         """(rays,) m to the nearest wall or the end of the range.

@@ -123,11 +123,10 @@ def measured_points(
 class _Particles(NamedTuple):
     """Where the first particle on a beam is that returns enough light, if there is one.
 
-    below: of the draws of 20 bits, those below it have one;  range_m: (below,) m, by draw
-    scale: (below,) of what it has above the limit, an exponential number: of the power, of a drop of its root
+    range_m: (k,) m, by draw of 20 bits; larger draws have none
+    scale:   (k,) of what it has above the limit, an exponential number: of the power, of a drop of its root
     """
 
-    below: int
     range_m: Singles
     scale: Singles
 
@@ -235,16 +234,13 @@ class Returns:
         share = np.float32(0.5) - _uniform(_place(draws)) * np.float32(beams.step / self.divergence_rad)
         last = echoes
         for side in (1, -1):
-            range_m, source = np.roll(echoes.range_m, side, axis=0), np.roll(echoes.source, side, axis=0)
-            power = np.roll(echoes.power, side, axis=0) * share
-            behind = (range_m < np.inf) & (range_m > last.range_m + np.float32(_PULSE_M)) & (power >= least)
+            beside = Echoes._make(np.roll(column, side, axis=0) for column in echoes)
+            beside.power[:] *= share
+            behind = (beside.range_m < np.inf) & (beside.range_m > last.range_m + np.float32(_PULSE_M))
+            behind &= beside.power >= least
             if len(beams.azimuth) < beams.turn:
                 behind[0 if side == 1 else -1] = False  # no azimuth is beside it
-            last = Echoes(
-                np.where(behind, range_m, last.range_m),
-                np.where(behind, source, last.source),
-                np.where(behind, power, last.power),
-            )
+            last = Echoes._make(np.where(behind, *columns) for columns in zip(beside, last, strict=True))
         return last
 
     def _particles(self, min_range_m: float) -> _Particles:
@@ -265,30 +261,28 @@ class Returns:
             density = np.exp(-1.0 / np.maximum(scale, 1e-9)) / _PULSE_M
         met = 1.0 - np.exp(-np.concatenate([[0.0], np.cumsum(density * step)]))
         places = (np.arange(_PLACES) + 0.5) / _PLACES
-        count = int(np.searchsorted(places, met[-1]))
-        where = np.interp(places[:count], met, edges)
+        where = np.interp(places[: np.searchsorted(places, met[-1])], met, edges)
         scale = np.interp(where, r, scale)
-        self._known[min_range_m] = _Particles(count, where.astype(np.float32), scale.astype(np.float32))
+        self._known[min_range_m] = _Particles(where.astype(np.float32), scale.astype(np.float32))
         return self._known[min_range_m]
 
     def _with_particles(self, echoes: Echoes, draws: NDArray[np.uint64], min_range_m: float) -> Echoes:
         """The echoes, with particles where these are reported instead of surfaces."""
-        particles, every = self._particles(min_range_m), draws.ravel()
-        beam = np.flatnonzero(_place(every) < particles.below)
-        chance = every[beam]
+        particles = self._particles(min_range_m)
+        beam = np.nonzero(_place(draws) < len(particles.range_m))
+        chance, power = draws[beam], echoes.power[beam]
         rows, least = _place(chance), self._least[_fade(chance)]
-        range_m, source, power = echoes.range_m.ravel(), echoes.source.flatten(), echoes.power.ravel()
         more = -np.log(_uniform(chance >> np.uint64(64 - _PLACE_BITS))) * particles.scale[rows]
         near, returned = particles.range_m[rows], 1.0 + more
         if self.rain_mm_h > 0.0:
             returned *= returned
-        surface = np.where(power[beam] >= least, power[beam], 0.0)
-        instead = (near < range_m[beam]) & (returned >= least)
+        surface = np.where(power >= least, power, 0.0)
+        instead = (near < echoes.range_m[beam]) & (returned >= least)
         instead &= returned > surface if self.returns == "strongest" else surface == 0.0
-        beam = beam[instead]
-        range_m[beam], power[beam] = near[instead], returned[instead]
-        source[beam] = RAIN if self.rain_mm_h > 0.0 else DUST
-        return Echoes(range_m.reshape(draws.shape), source.reshape(draws.shape), power.reshape(draws.shape))
+        beam, result = (beam[0][instead], beam[1][instead]), Echoes._make(column.copy() for column in echoes)
+        result.range_m[beam], result.power[beam] = near[instead], returned[instead]
+        result.source[beam] = RAIN if self.rain_mm_h > 0.0 else DUST
+        return result
 
 
 #: 1/m^3/mm, of raindrops by diameter: Marshall and Palmer 1948.

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.geometry import box_corners, rotation_from_yaw, wrap_angle
+from mast_zenoh.arrays.geometry import along_and_across, box_corners, rotation_from_yaw, wrap_angle
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.kernels import kernel
 from mast_zenoh.sensing.beams import Beams
@@ -158,8 +158,9 @@ def nearest_surfaces(
     fall = ahead[:, 2:] * channels[0] + left[:, 2:] * channels[1] + up[:, 2:] * channels[2]
     with np.errstate(divide="ignore", invalid="ignore"):
         range_m = (place.ground_m - origin[:, 2:]) / fall
-    met = (fall < 0.0) & (range_m >= 0.0) & (range_m <= max_range_m)
-    scan = np.where(met, range_m, np.inf), np.where(met, GROUND, NOTHING).astype(np.int32), np.where(met, -fall, 0.0)
+    down = (fall < 0.0) & (range_m >= 0.0) & (range_m <= max_range_m)
+    source = np.where(down, GROUND, NOTHING).astype(np.int32)
+    scan = Scan(np.where(down, range_m, np.inf), source, np.where(down, -fall, 0.0))
     for row, start, stop, low, high in windows:
         span = slice(start, stop)
         at = origin[span] - (objects.position[row] + objects.velocity[row] * time[span, None])
@@ -168,32 +169,23 @@ def nearest_surfaces(
         axes = [_into(turned, each[span]) for each in (ahead, left, up)]
         beam = sum(axis[:, None] * part[low:high, None] for axis, part in zip(axes, channels, strict=True))
         for part in range(parts.first[row], parts.first[row + 1]):
-            distance, slope = _into_part(local[:, None], beam, parts.low[part], parts.high[part])
-            _nearer(scan, (span, slice(low, high)), distance, row, slope, max_range_m)
+            met = _into_part(local[:, None], beam, parts.low[part], parts.high[part])
+            _nearer(scan, (span, slice(low, high)), met, row, max_range_m)
     for row, start, stop, low, high in wall_windows:
         span = slice(start, stop)
-        beam = sum(
-            axis[span, None] * part[low:high, None] for axis, part in zip((ahead, left, up), channels, strict=True)
-        )
-        distance, slope = _to_wall(origin[span, None], beam, walls.start[row], walls.end[row], walls.top[row])
-        _nearer(scan, (span, slice(low, high)), distance, WALL, slope, max_range_m)
-    return scan
+        axes = [each[span] for each in (ahead, left, up)]
+        beam = sum(axis[:, None] * part[low:high, None] for axis, part in zip(axes, channels, strict=True))
+        met = _to_wall(origin[span, None], beam, walls.start[row], walls.end[row], walls.top[row])
+        _nearer(scan, (span, slice(low, high)), met, WALL, max_range_m)
+    return scan.range_m, scan.source, scan.cosine
 
 
-def _nearer(
-    scan: tuple[Floats, NDArray[np.int32], Floats],
-    where: tuple[slice, slice],
-    distance: Floats,
-    source: int,
-    slope: Floats,
-    max_range_m: float,
-) -> None:
-    """Write what is nearer than all before it into a window of the scan."""
-    nearer = (distance < scan[0][where]) & (distance <= max_range_m)
-    range_m, sources, cosine = scan
-    range_m[where] = np.where(nearer, distance, range_m[where])
-    sources[where] = np.where(nearer, source, sources[where])
-    cosine[where] = np.where(nearer, slope, cosine[where])
+def _nearer(scan: Scan, where: tuple[slice, slice], met: tuple[Floats, Floats], source: int, limit_m: float) -> None:
+    """Write what is nearer than all before it into a window of the scan. met: distance, m, and cosine"""
+    nearer = (met[0] < scan.range_m[where]) & (met[0] <= limit_m)
+    np.copyto(scan.range_m[where], met[0], where=nearer)
+    np.copyto(scan.source[where], source, where=nearer)
+    np.copyto(scan.cosine[where], met[1], where=nearer)
 
 
 def _heading(yaw: Floats) -> Floats:
@@ -272,11 +264,10 @@ def _object_windows(beams: Beams, lidar: Moving, mount: Floats, objects: Moving,
     half, low, high = half[rows], low[rows], high[rows]
     moved = np.linalg.norm(objects.velocity[rows] - lidar.velocity[0], axis=1) * beams.longest_s
     moved += np.abs(objects.turn[rows]) * beams.longest_s * np.linalg.norm(half, axis=1) + _MARGIN_M
-    c, s = np.cos(objects.yaw[rows]), np.sin(objects.yaw[rows])
     offset = objects.position[rows] - lidar.position[0]
     half, low, high = half + moved[:, None], low - moved, high + moved
-    sides = np.stack([c * offset[:, 0] + s * offset[:, 1], c * offset[:, 1] - s * offset[:, 0]], axis=1)
-    gap = np.column_stack([np.abs(sides) - half, np.maximum(low + offset[:, 2], -high - offset[:, 2])])
+    sides = np.abs(along_and_across(offset, objects.yaw[rows]))
+    gap = np.column_stack([sides - half, np.maximum(low + offset[:, 2], -high - offset[:, 2])])
     nearest = np.linalg.norm(np.maximum(gap, 0.0), axis=1)
     middle = offset + np.column_stack([np.zeros_like(half), (low + high) / 2])
     corners = box_corners(middle, np.column_stack([2 * half, high - low]), objects.yaw[rows])

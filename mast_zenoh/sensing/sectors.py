@@ -6,12 +6,12 @@ listens to the lidar's pulses knows them (Cao 2019, section 5.1).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mast_zenoh.arrays.geometry import wrap_angle
+from mast_zenoh.arrays.geometry import along_and_across, angles_of, unit_vectors, wrap_angle
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.sensing.beams import Beams
 from mast_zenoh.sensing.points import Points, Singles
@@ -21,6 +21,10 @@ from mast_zenoh.sensing.shapes import Parts
 
 #: m, far below any ground that a beam reaches: a phantom is cast without the ground.
 _NO_GROUND_M = -1e9
+
+
+class NoBeams(Exception):
+    """No beam of a scan is where one is looked for, or its points do not say their times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +70,13 @@ class Calibration:
     elevation: Floats
 
     @classmethod
-    def of(cls, fired: Floats, points: Points) -> Calibration | None:
-        """From a scan, not empty, as its beams were fired (n, 3) m; None: its points do not say their times."""
+    def of(cls, fired: Floats, points: Points) -> Calibration:
+        """From a scan, not empty, as its beams were fired (n, 3) m; raises NoBeams without their times."""
         time = points.time_s.astype(np.float64)
         one = points.channel == np.bincount(points.channel).argmax()
         if time[one].min() == time[one].max():
-            return None
-        azimuth = np.arctan2(fired[:, 1], fired[:, 0])
-        elevation = np.arctan2(fired[:, 2], np.hypot(fired[:, 0], fired[:, 1]))
+            raise NoBeams
+        azimuth, elevation = angles_of(fired)
         rate = float(np.polyfit(time[one], np.unwrap(azimuth[one]), 1)[0])
         channel, first = np.unique(points.channel, return_inverse=True)
         off = wrap_angle(azimuth - rate * time)
@@ -107,17 +110,17 @@ class Sector:
 
     @classmethod
     def near(cls, points: Points, motion: LidarMotion, seen: Calibration, azimuth: float, half_rad: float) -> Sector:
-        """The firings within `half_rad` of an azimuth, both rad."""
+        """The firings within `half_rad` of an azimuth, both rad; raises NoBeams if there is none."""
         fired = motion.as_fired(points.position, points.time_s)
         looks = seen.rate * points.time_s.astype(np.float64)
         margin = half_rad + np.abs(wrap_angle(seen.offset)).max(initial=0.0)
         rows = np.flatnonzero(np.abs(wrap_angle(looks - azimuth)) <= margin)
+        if not len(rows):
+            raise NoBeams
         time, firing = np.unique(points.time_s[rows], return_inverse=True)
-        column = np.full(256, -1)
-        column[seen.channel] = np.arange(len(seen.channel))
-        row, range_m = np.full((len(time), len(seen.channel)), -1), np.full((len(time), len(seen.channel)), np.inf)
-        known = column[points.channel[rows]] >= 0
-        beam = firing[known], column[points.channel[rows[known]]]
+        known, shape = np.isin(points.channel[rows], seen.channel), (len(time), len(seen.channel))
+        beam = firing[known], np.searchsorted(seen.channel, points.channel[rows[known]])
+        row, range_m = np.full(shape, -1), np.full(shape, np.inf)
         row[beam], range_m[beam] = rows[known], np.linalg.norm(fired[rows[known]], axis=1)
         return cls(points, motion, time, seen, seen.rate * time.astype(np.float64), row, range_m)
 
@@ -127,14 +130,11 @@ class Sector:
 
     def directions(self) -> Floats:
         """(f, c, 3) unit vectors along the beams, in the frame of the lidar when it fired."""
-        azimuth, elevation = self.angles()
-        flat, rise = np.cos(elevation), np.broadcast_to(np.sin(elevation), azimuth.shape)
-        return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), rise], axis=-1)
+        return unit_vectors(*self.angles())
 
     def beams_at(self, position: Floats) -> tuple[Ints, Ints, Bools]:
         """(n,) firing and channel nearest to the direction of positions (n, 3) m; (n,) whether a beam looks there."""
-        azimuth = np.arctan2(position[:, 1], position[:, 0])
-        elevation = np.arctan2(position[:, 2], np.hypot(position[:, 0], position[:, 1]))
+        azimuth, elevation = angles_of(position)
         order = np.argsort(self.calibration.elevation)
         step = np.diff(self.calibration.elevation[order])
         apart = float(np.median(step)) if len(step) else 0.02
@@ -197,30 +197,29 @@ def nearest(ascending: Floats, values: Floats) -> Ints:
 class BeamMemory:
     """What a listener learns of one lidar from scan to scan: its motion and its beams."""
 
+    _motion: LidarMotion
+
     def __init__(self) -> None:
         self._before: tuple[float, Floats, Floats] | None = None
         self._poses = 0
-        self._motion = LidarMotion(np.eye(3), np.zeros(3), 0.0)
         self._calibration: Calibration | None = None
 
-    def move(self, time_s: float, position: Floats, rotation: Floats) -> LidarMotion:
+    def move(self, time_s: float, position: Floats, rotation: Floats) -> None:
         """Take note of the pose of the lidar at a scan: (3,) m and (3, 3) active, world frame."""
-        still = LidarMotion(rotation, np.zeros(3), 0.0)
+        velocity, turn = np.zeros(3), 0.0
         if self._before is not None and 0.0 < time_s - self._before[0] < 1.0:
             elapsed, since = time_s - self._before[0], rotation @ self._before[2].T
+            velocity = (position - self._before[1]) / elapsed
             turn = float(np.arctan2(since[1, 0] - since[0, 1], since[0, 0] + since[1, 1])) / elapsed
-            still = replace(still, velocity=(position - self._before[1]) / elapsed, turn=turn)
-        self._before, self._motion = (time_s, position, rotation), still
+        self._before, self._motion = (time_s, position, rotation), LidarMotion(rotation, velocity, turn)
         self._poses += 1
-        return still
 
-    def near(self, points: Points, azimuth: float, half_rad: float) -> Sector | None:
-        """The firings of the scan at the last pose within `half_rad` of an azimuth, both rad; None: without times."""
+    def near(self, points: Points, azimuth: float, half_rad: float) -> Sector:
+        """The firings of the scan at the last pose within `half_rad` of an azimuth, both rad; may raise NoBeams."""
         if self._calibration is None or self._poses <= 2:
             fired = self._motion.as_fired(points.position, points.time_s)
             self._calibration = Calibration.of(fired, points)
-        seen = self._calibration
-        return None if seen is None else Sector.near(points, self._motion, seen, azimuth, half_rad)
+        return Sector.near(points, self._motion, self._calibration, azimuth, half_rad)
 
 
 def chords(beam: Floats, position: Floats, size: Floats, yaw: Floats) -> tuple[Floats, Floats]:
@@ -229,9 +228,7 @@ def chords(beam: Floats, position: Floats, size: Floats, yaw: Floats) -> tuple[F
     A beam that misses a box leaves it before it enters.
     """
     c, s = np.cos(yaw), np.sin(yaw)
-    middle = np.stack(
-        [c * position[:, 0] + s * position[:, 1], c * position[:, 1] - s * position[:, 0], position[:, 2]]
-    )
+    middle = [*along_and_across(position, yaw).T, position[:, 2]]
     x, y, z = (each[:, None] for each in beam.T.astype(np.float64))
     enter, leave = np.full((len(beam), len(yaw)), -np.inf), np.full((len(beam), len(yaw)), np.inf)
     for axis, along in enumerate((c * x + s * y, c * y - s * x, np.broadcast_to(z, enter.shape))):

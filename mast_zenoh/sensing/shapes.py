@@ -10,44 +10,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mast_zenoh.arrays.states import CLASSES, Floats, Ints
+from mast_zenoh.arrays.states import CLASS_INDEX, CLASSES, Floats, Ints, within_runs
 
-#: By class: parts as (z, x from, x to, y half) of the lower and of the upper rectangle, as shares of the box's height,
-#: length and width: z from 0 to 1, x and y from -0.5 to 0.5. Heights and lengths are those of common vehicles (a saloon
-#: car, a rigid truck, a city bus) and of a standing person (Drillis and Contini 1966, figure 1).
-_PARTS: dict[str, tuple[tuple[tuple[float, float, float, float], tuple[float, float, float, float]], ...]] = {
-    "car": (
-        ((0.15, -0.50, 0.50, 0.50), (0.56, -0.50, 0.48, 0.49)),
-        ((0.56, -0.48, 0.24, 0.47), (1.00, -0.34, 0.06, 0.36)),
-    ),
-    "van": (
-        ((0.13, -0.50, 0.50, 0.50), (0.50, -0.50, 0.48, 0.50)),
-        ((0.50, -0.50, 0.42, 0.49), (1.00, -0.49, 0.26, 0.45)),
-    ),
-    "truck": (
-        ((0.16, -0.50, 0.50, 0.42), (0.30, -0.50, 0.50, 0.42)),
-        ((0.30, 0.27, 0.50, 0.49), (0.86, 0.27, 0.47, 0.47)),
-        ((0.30, -0.50, 0.23, 0.50), (1.00, -0.50, 0.23, 0.50)),
-    ),
-    "bus": (((0.10, -0.50, 0.50, 0.50), (1.00, -0.50, 0.48, 0.48)),),
-    "motorcycle": (
-        ((0.00, -0.50, 0.50, 0.15), (0.50, -0.45, 0.36, 0.22)),
-        ((0.45, -0.25, 0.15, 0.40), (0.86, -0.05, 0.17, 0.50)),
-        ((0.86, 0.03, 0.15, 0.20), (1.00, 0.03, 0.15, 0.18)),
-    ),
-    "bicycle": (
-        ((0.00, -0.50, 0.50, 0.05), (0.40, -0.48, 0.48, 0.07)),
-        ((0.20, -0.14, 0.06, 0.20), (0.55, -0.16, 0.00, 0.26)),
-        ((0.55, -0.16, 0.06, 0.34), (0.87, 0.00, 0.18, 0.42)),
-        ((0.87, 0.06, 0.18, 0.16), (1.00, 0.06, 0.17, 0.15)),
-    ),
-    "pedestrian": (
-        ((0.00, -0.35, 0.35, 0.32), (0.48, -0.28, 0.28, 0.36)),
-        ((0.48, -0.28, 0.28, 0.40), (0.82, -0.26, 0.26, 0.50)),
-        ((0.82, -0.17, 0.20, 0.15), (1.00, -0.17, 0.20, 0.15)),
-    ),
-    "unknown": (((0.00, -0.50, 0.50, 0.50), (1.00, -0.50, 0.50, 0.50)),),
-}
+#: Parts, in the order of CLASSES, vans last, each with its lower and its upper rectangle as (z, x from, x to, y half):
+#: shares of the box's height, length and width, z from 0 to 1, x and y from -0.5 to 0.5. Heights and lengths are those
+#: of common vehicles (a saloon car, a rigid truck, a city bus) and of a standing person (Drillis and Contini 1966,
+#: figure 1).
+_PARTS = (
+    ("unknown", (0.00, -0.50, 0.50, 0.50), (1.00, -0.50, 0.50, 0.50)),
+    ("car", (0.15, -0.50, 0.50, 0.50), (0.56, -0.50, 0.48, 0.49)),
+    ("car", (0.56, -0.48, 0.24, 0.47), (1.00, -0.34, 0.06, 0.36)),
+    ("truck", (0.16, -0.50, 0.50, 0.42), (0.30, -0.50, 0.50, 0.42)),
+    ("truck", (0.30, 0.27, 0.50, 0.49), (0.86, 0.27, 0.47, 0.47)),
+    ("truck", (0.30, -0.50, 0.23, 0.50), (1.00, -0.50, 0.23, 0.50)),
+    ("bus", (0.10, -0.50, 0.50, 0.50), (1.00, -0.50, 0.48, 0.48)),
+    ("motorcycle", (0.00, -0.50, 0.50, 0.15), (0.50, -0.45, 0.36, 0.22)),
+    ("motorcycle", (0.45, -0.25, 0.15, 0.40), (0.86, -0.05, 0.17, 0.50)),
+    ("motorcycle", (0.86, 0.03, 0.15, 0.20), (1.00, 0.03, 0.15, 0.18)),
+    ("bicycle", (0.00, -0.50, 0.50, 0.05), (0.40, -0.48, 0.48, 0.07)),
+    ("bicycle", (0.20, -0.14, 0.06, 0.20), (0.55, -0.16, 0.00, 0.26)),
+    ("bicycle", (0.55, -0.16, 0.06, 0.34), (0.87, 0.00, 0.18, 0.42)),
+    ("bicycle", (0.87, 0.06, 0.18, 0.16), (1.00, 0.06, 0.17, 0.15)),
+    ("pedestrian", (0.00, -0.35, 0.35, 0.32), (0.48, -0.28, 0.28, 0.36)),
+    ("pedestrian", (0.48, -0.28, 0.28, 0.40), (0.82, -0.26, 0.26, 0.50)),
+    ("pedestrian", (0.82, -0.17, 0.20, 0.15), (1.00, -0.17, 0.20, 0.15)),
+    ("van", (0.13, -0.50, 0.50, 0.50), (0.50, -0.50, 0.48, 0.50)),
+    ("van", (0.50, -0.50, 0.42, 0.49), (1.00, -0.49, 0.26, 0.45)),
+)
+#: (p, 2, 5) of all parts: z from the middle, x from, x to, y from, y to. By class, vans last: how many, and the first.
+_UNIT = np.array([[(z - 0.5, back, front, -y, y) for z, back, front, y in part] for _, *part in _PARTS])
+_COUNT = np.array([sum(kind == name for kind, *_ in _PARTS) for name in (*CLASSES, "van")])
+_FIRST = np.cumsum(_COUNT) - _COUNT
 #: m: a car that is higher than this is a van, or a lorry on the chassis of one.
 _VAN_M = 1.85
 
@@ -67,29 +60,15 @@ class Parts:
     @classmethod
     def of(cls, class_id: Ints, size: Floats) -> Parts:
         """The parts of objects of classes (n,), `states.CLASSES`, with boxes (n, 3) m."""
-        kinds = [_kind(int(which), float(height)) for which, height in zip(class_id, size[:, 2], strict=True)]
-        rows = [_UNIT[kind] for kind in kinds]
-        first = np.cumsum([0, *map(len, rows)]).astype(np.int64)
-        if not rows:
-            return cls(first, np.zeros((0, 5)), np.zeros((0, 5)))
-        scale = np.repeat(size[:, (2, 0, 0, 1, 1)], np.diff(first), axis=0)
-        unit = np.concatenate(rows)
-        return cls(first, np.ascontiguousarray(unit[:, 0] * scale), np.ascontiguousarray(unit[:, 1] * scale))
+        is_van = (class_id == CLASS_INDEX["car"]) & (size[:, 2] > _VAN_M)
+        kind = np.where(is_van, len(CLASSES), class_id)
+        count = _COUNT[kind]
+        row = np.repeat(_FIRST[kind], count) + within_runs(count)
+        first = np.concatenate([[0], np.cumsum(count)])
+        scale = np.repeat(size[:, (2, 0, 0, 1, 1)], count, axis=0)
+        return cls(first, _UNIT[row, 0] * scale, _UNIT[row, 1] * scale)
 
     @classmethod
     def boxes(cls, size: Floats) -> Parts:
         """Objects (n, 3) m that fill their boxes."""
         return cls.of(np.zeros(len(size), np.int64), size)
-
-
-def _kind(class_id: int, height: float) -> str:
-    name = CLASSES[class_id]
-    return "van" if name == "car" and height > _VAN_M else name
-
-
-def _unit(parts: tuple[tuple[tuple[float, float, float, float], tuple[float, float, float, float]], ...]) -> Floats:
-    """(p, 2, 5) rectangles below and above: z from the middle, x from, x to, y from, y to."""
-    return np.array([[(z - 0.5, back, front, -half, half) for z, back, front, half in part] for part in parts])
-
-
-_UNIT = {name: _unit(parts) for name, parts in _PARTS.items()}
