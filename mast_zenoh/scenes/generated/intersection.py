@@ -199,7 +199,7 @@ class Intersection(Scene):
         self, site: _Site, motion: Motion, motorised: list[int], agents: tuple[SceneAgent, ...] | None = None
     ) -> World:
         """The scene without visibility and detections. agents: None: with the usual sensors"""
-        return _world(
+        return world_of_motion(
             f"intersection-{self.scene_index}",
             round(1e9 / self.rate_hz),
             np.concatenate([site.movers.size, site.parked.size]),
@@ -370,7 +370,7 @@ def _poles(junction: _Junction, count: int) -> list[_Pole]:
     ]
 
 
-def _world(
+def world_of_motion(
     name: str,
     period_ns: int,
     sizes: Floats,
@@ -381,9 +381,10 @@ def _world(
     buildings: tuple[tuple[Floats, ...], Floats],
     agents: tuple[SceneAgent, ...] | None,
 ) -> World:
-    """The scene's truth and its agents, flat ground at z = 0.
+    """A scene's truth and its agents, flat ground at z = 0.
 
-    sizes: (n, 3) m, classes: of the n objects of the motion; agents: None: with the usual sensors
+    sizes: (n, 3) m, classes: of the n objects of the motion; motorised: rows of the ego and of the other cars that are
+    agents; buildings: outlines and heights; agents: None: with the usual sensors
     """
     frames, n = motion.yaw.shape
     heights = sizes[:, 2]
