@@ -37,15 +37,7 @@ PRESETS = dict(
 )
 
 
-def study(
-    preset="full",
-    cases="cut_in,leader",
-    defences=None,
-    covariance_factor=0.25,
-    trials=None,
-    frames=100,
-    seed=0,
-):
+def study(preset="full", cases="cut_in,leader", defences=None, covariance_factor=0.25, trials=None, frames=100, seed=0):
     """Attacks in pairs with their twins: the same roads and seeds for all.
 
     preset: quick or full; it sets all that is None;
@@ -77,11 +69,5 @@ def study(
                         case=case, frames=length, step_m=step_m, start_s=start_s, defence="" if name == "none" else name
                     ),
                 )
-    return dict(
-        name="posepert",
-        kind=PosePerturbation,
-        runs=runs,
-        trials=chosen["trials"],
-        frames=frames,
-        seed=seed,
-    )
+    trials = chosen["trials"]
+    return dict(name="posepert", kind=PosePerturbation, runs=runs, trials=trials, frames=frames, seed=seed)

@@ -4,40 +4,30 @@ The spoofer is on a car ahead of the ego, which keeps its distance. The detector
 networks are beside ours in docs/explanation-points.md.
 """
 
+from itertools import product
+
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.sensing import PointCheck
 from mast_zenoh.study.choices import junctions, parse_choices, resolve_choice, short_name, with_preset, words
 from mast_zenoh.study.defences.spoofed_sensing import SpoofedSensing
 
-#: By attack: its parameters, what a budget sets, and three budgets with their unit; what a distance sets.
-ATTACKS = dict(
-    injection=(dict(type="InjectedPoints"), "points", (20, 60, 200), "points", "distance_m"),
-    wall=(dict(type="GhostWall"), "points", (500, 1500, 4200), "points", "distance_m"),
-    removal=(dict(type="HighFrequencyRemoval"), "sector_deg", (10.0, 20.0, 40.0), "deg", ""),
-    early_echo=(dict(type="EarlyEcho"), "sector_deg", (10.0, 30.0, 60.0), "deg", ""),
-)
+#: m, of what is inserted from the lidar.
 DISTANCES_M = (8.0, 15.0)
+#: By attack: its parameters, what a budget sets, three budgets with their unit, and the distances that it may have.
+ATTACKS = dict(
+    injection=(dict(type="InjectedPoints"), "points", (20, 60, 200), "points", DISTANCES_M),
+    wall=(dict(type="GhostWall"), "points", (500, 1500, 4200), "points", DISTANCES_M),
+    removal=(dict(type="HighFrequencyRemoval"), "sector_deg", (10.0, 20.0, 40.0), "deg", ()),
+    early_echo=(dict(type="EarlyEcho"), "sector_deg", (10.0, 30.0, 60.0), "deg", ()),
+)
+_ALL, _CHECKS = ",".join(ATTACKS), "none,OcclusionCheck,ShadowCheck,TemporalCheck"
 # On two cores: quick 3 minutes, hour one, full a night.
 PRESETS = dict(
     quick=dict(
         attacks="injection", budgets=1, distances=1, checks="none,OcclusionCheck", scenes="intersection:6", trials=2
     ),
-    hour=dict(
-        attacks=",".join(ATTACKS),
-        budgets=3,
-        distances=1,
-        checks="none,OcclusionCheck",
-        scenes=junctions(6, 7),
-        trials=5,
-    ),
-    full=dict(
-        attacks=",".join(ATTACKS),
-        budgets=3,
-        distances=2,
-        checks="none,OcclusionCheck,ShadowCheck,TemporalCheck",
-        scenes=junctions(6, 10),
-        trials=10,
-    ),
+    hour=dict(attacks=_ALL, budgets=3, distances=1, checks="none,OcclusionCheck", scenes=junctions(6, 7), trials=5),
+    full=dict(attacks=_ALL, budgets=3, distances=2, checks=_CHECKS, scenes=junctions(6, 10), trials=10),
 )
 
 
@@ -77,17 +67,15 @@ def study(
         for attack in words(chosen["attacks"]):
             if attack not in ATTACKS:
                 raise ConfigurationError(f"attacks: found {attack!r}{nearest(attack, ATTACKS)}")
-            spec, parameter, values, unit, place = ATTACKS[attack]
-            for budget in values[-chosen["budgets"] :]:
-                for distance in DISTANCES_M[: chosen["distances"]] if place else (None,):
-                    where = {place: distance} if place else {}
-                    title = f"{attack}, {budget:g} {unit}{f', {distance:g} m' if place else ''}, {name or 'none'}"
-                    runs[title] = dict(
-                        scenario="spoofed",
-                        parameters=common | dict(attack=spec | {parameter: budget, "start_s": start_s} | where),
-                        factors=factors
-                        | dict(attack=attack, budget=f"{budget:g} {unit}", distance=f"{distance:g} m" if place else ""),
-                    )
+            spec, parameter, values, unit, distances = ATTACKS[attack]
+            places = [(f"{each:g} m", dict(distance_m=each)) for each in distances[: chosen["distances"]]]
+            for budget, (distance, place) in product(values[-chosen["budgets"] :], places or [("", {})]):
+                of = dict(attack=attack, budget=f"{budget:g} {unit}", distance=distance)
+                runs[", ".join(filter(None, (*of.values(), name or "none")))] = dict(
+                    scenario="spoofed",
+                    parameters=common | dict(attack=spec | {parameter: budget, "start_s": start_s} | place),
+                    factors=factors | of,
+                )
     return dict(
         name="sensing",
         kind=SpoofedSensing,

@@ -69,10 +69,9 @@ class PosePerturbation(Kind):
         alarm:       whether a track of the target is contradicted, the target is withheld, or an agent is suspended
         """
         table = from_arrow(run.objects)
-        target = (table["kind"] == "truth") & (table["estimator"] == MISSION) & (table["id"] == TARGET)
-        track = (table["outcome"] == "matched") & (table["kind"] == "track") & (table["match_id"] == TARGET)
-        track &= (table["agent"] == "ego") & (table["estimator"] == MISSION)
-        target &= table["agent"] == "ego"
+        of_ego = (table["agent"] == "ego") & (table["estimator"] == MISSION)
+        target = of_ego & (table["kind"] == "truth") & (table["id"] == TARGET)
+        track = of_ego & (table["kind"] == "track") & (table["outcome"] == "matched") & (table["match_id"] == TARGET)
         place = {int(table["frame"][row]): (table["x"][row], table["y"][row]) for row in np.flatnonzero(target)}
         believed = {int(table["frame"][row]): table["y"][row] for row in np.flatnonzero(track)}
         alarms: set[int] = set()
@@ -86,12 +85,8 @@ class PosePerturbation(Kind):
         driven = from_arrow(run.driven)
         frames = [frame for frame in driven["frame"].tolist() if frame in place]
         rows = np.isin(driven["frame"], frames)
-        shifts = [
-            round(float((believed[frame] - place[frame][1]) * np.sign(place[frame][1])), 4)
-            if frame in believed
-            else None
-            for frame in frames
-        ]
+        asides = [(believed.get(frame), place[frame][1]) for frame in frames]
+        shifts = [None if to is None else round(float((to - aside) * np.sign(aside)), 4) for to, aside in asides]
         return {
             "times_s": np.round(driven["time_s"][rows], 6).tolist(),
             "kmh": np.round(3.6 * driven["speed_mps"][rows], 4).tolist(),
@@ -132,11 +127,9 @@ class PosePerturbation(Kind):
 
     def _row(self, factors: Factors) -> Row:
         twin = factors.but(frames=0, step_m=0.0)
-
-        def pair(name: str) -> tuple[Floats, Floats]:
-            return self.values(twin, name), self.values(factors, name)
-
-        slowest, ttc, collided = pair("slowest_kmh"), pair("min_ttc_s"), pair("collided")
+        slowest, ttc, collided = (
+            (self.values(twin, name), self.values(factors, name)) for name in ("slowest_kmh", "min_ttc_s", "collided")
+        )
         safe = slowest[0] >= CLEAN_KMH if factors["case"] == "cut_in" else (ttc[0] >= CRITICAL_S) & (collided[0] == 0.0)
         safe &= ~np.isnan(ttc[1])
         numbers = {
@@ -207,18 +200,14 @@ def _median(values: Floats) -> Statistic:
     return statistics.pooled(lambda rows: float(np.median(values[rows])), len(values))
 
 
-def _percent(each: Statistic) -> str:
-    return percent(each) if each.known else DASH
-
-
 _BY_DEFENCE = {
     "safe roads": lambda row: str(row.trials),
-    "unsafe (%)": shown("harm", _percent),
-    "collisions (%)": shown("collided", _percent),
+    "unsafe (%)": shown("harm", percent),
+    "collisions (%)": shown("collided", percent),
     "least TTC (s)": shown("ttc_after_s"),
     "realised shift (m)": shown("shift_m"),
-    "false alarms (%)": shown("false_alarms", _percent),
-    "alarms under attack (%)": shown("alarms", _percent),
+    "false alarms (%)": shown("false_alarms", percent),
+    "alarms under attack (%)": shown("alarms", percent),
 }
 
 
@@ -228,7 +217,7 @@ def _compared(table: Sequence[Row]) -> TextTable:
     for case, what, paper, repeated, names in PUBLISHED:
         for row in table:
             if row.of["case"] == case and row.of["defence"] == "none":
-                write = _percent if "%" in what else measured
+                write = percent if "%" in what else measured
                 ours = ", ".join(write(row[name]) for name in names)
                 lines.append([str(row.of["attack"]), what, paper, repeated, ours.replace("\n", " ")])
     headings = ["attack", "measure", "paper", "repetition", "ours"]

@@ -21,7 +21,7 @@ from mast_zenoh.run_folder.tables import from_arrow
 from mast_zenoh.runs.messages import messages
 from mast_zenoh.sensing import to_world
 from mast_zenoh.show.findings.words import of_study, paragraph
-from mast_zenoh.show.number_text import DASH, measured, percent
+from mast_zenoh.show.number_text import measured, percent
 from mast_zenoh.show.tables.text_table import ResultTables, numbers_of_rows, shown, table_of_rows
 from mast_zenoh.study.defences.kinds import Factors, Kind, few_trials
 from mast_zenoh.study.trial import TrialOutcome
@@ -64,8 +64,10 @@ class SpoofedSensing(Kind):
         """
         effects = from_arrow(run.attacks)
         rows = np.flatnonzero((effects["message"] == "points") & (effects["points"] > 0))
-        wanted = effects["effect"][rows] == ("inserted" if "inserted" in effects["effect"][rows] else "removed")
-        rows = rows[wanted]
+        inserted = "inserted" in effects["effect"][rows]
+        effect, when = ("inserted", "after") if inserted else ("removed", "before")
+        rows = rows[effects["effect"][rows] == effect]
+        place = np.stack([effects[f"{when}_x"], effects[f"{when}_y"]], axis=1)
         landed = np.unique(effects["frame"][rows])
         objects = from_arrow(run.objects)
         scored = np.unique(objects["frame"])
@@ -75,10 +77,8 @@ class SpoofedSensing(Kind):
         for frame in landed.tolist():
             of_frame = rows[effects["frame"][rows] == frame]
             most = of_frame[effects["points"][of_frame].argmax()]
-            when = "after" if effects["effect"][most] == "inserted" else "before"
-            place = np.array([effects[f"{when}_{axis}"][most] for axis in "xy"])
-            near = np.linalg.norm(found.get(frame, np.zeros((0, 2))) - place, axis=1) <= _GATE_M
-            detected += bool(near.any()) == (when == "after")
+            near = np.linalg.norm(found.get(frame, np.zeros((0, 2))) - place[most], axis=1) <= _GATE_M
+            detected += bool(near.any()) == inserted
         caused = np.isin(objects["cause"], KINDS) & (objects["agent"] == run.ego) & np.isin(objects["frame"], after)
         links = {
             link: len(np.unique(objects["frame"][caused & (objects["estimator"] == estimator)]))
@@ -105,12 +105,8 @@ class SpoofedSensing(Kind):
 
     def _row(self, factors: Factors) -> Row:
         twin = factors.but(attack="", budget="", distance="")
-        needless, collided = (
-            (self.values(twin, name), self.values(factors, name)) for name in ("needless", "collided")
-        )
-        worse = np.where(
-            np.isnan(needless[0] + needless[1]), NAN, (needless[1] > needless[0]) | (collided[1] > collided[0])
-        )
+        needless, collided = (self.values(factors, name) - self.values(twin, name) for name in ("needless", "collided"))
+        worse = np.where(np.isnan(needless), NAN, (needless > 0.0) | (collided > 0.0))
         bounds = (0.0, 1.0)
         numbers: dict[str, Statistic] = {"points": self.mean(self.values(factors, "points"), (0.0, np.inf))}
         numbers |= {link: self.mean(self.values(factors, link), bounds) for link in LINKS if link != "braked"}
@@ -121,9 +117,8 @@ class SpoofedSensing(Kind):
     def tables(self, table: Sequence[Row]) -> ResultTables:
         """The CSV has a row for each attack, budget, distance, check and measure."""
         sentences = conclusion(table)
-        columns = {"points a scan": shown("points", measured)} | {
-            heading: shown(link, _percent) for link, heading in LINKS.items()
-        }
+        columns = {"points a scan": shown("points", measured)}
+        columns |= {heading: shown(link, percent) for link, heading in LINKS.items()}
         links = table_of_rows("Links of the chain", paragraph("sensing_about"), table, columns, texts=4)
         return ResultTables(
             "Attacks on lidars",
@@ -142,18 +137,13 @@ class SpoofedSensing(Kind):
         from mast_zenoh.show.figures.facets import Axis, facet
 
         named = [
-            Row(
-                {"attack": f"{row.of['attack']}, {row.of['budget']}\n{row.of['distance']}", "check": row.of["check"]},
-                row.trials,
-                row.numbers,
-            )
+            Row(row.of | {"attack": "{attack}, {budget}\n{distance}".format(**row.of)}, row.trials, row.numbers)
             for row in table
             if row.trials
         ]
         axes = [Axis(link, heading, 100.0) for link, heading in LINKS.items()]
-        figure = facet(
-            named, "attack", axes, "check", size=(2.8, 0.8 + 0.45 * len({row.of["attack"] for row in named}))
-        )
+        height = 0.8 + 0.45 * len({row.of["attack"] for row in named})
+        figure = facet(named, "attack", axes, "check", size=(2.8, height))
         caption = paragraph("figure_sensing", size=self.size)
         return {self.name: render(self.name, figure, " ".join(conclusion(table)), caption, printed=True)}
 
@@ -175,10 +165,6 @@ def conclusion(table: Sequence[Row]) -> list[str]:
 def _broken(row: Row) -> str:
     """The first link of an attack that succeeds in less than half; empty: none, all do."""
     return next((link for link in LINKS if row[link].value < 0.5), "")
-
-
-def _percent(each: Statistic) -> str:
-    return percent(each) if each.known else DASH
 
 
 def _detections(run: Run, wire: str) -> dict[int, Floats]:
