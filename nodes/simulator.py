@@ -25,14 +25,7 @@ class Simulator(Source):
     """
 
     role = "simulator"
-    outputs = {
-        "clock": "clock",
-        "truth": "truth",
-        "pose": "pose",
-        "points": "points",
-        "detections": "detections",
-        "sweep": "sweep",
-    }
+    outputs = {name: name for name in ("clock", "truth", "pose", "points", "detections", "sweep")}
 
     def __init__(self, recording: Recording, frames: int | None = None, points: ScannedPoints | None = None) -> None:
         self.recording, self.points = recording, points

@@ -44,15 +44,7 @@ class WorldSimulator(Source):
     role = "simulator"
     inputs = {"command": "command"}
     affects = {"command": {}}  # it changes the world, not what is said of it
-    outputs = {
-        "clock": "clock",
-        "truth": "truth",
-        "pose": "pose",
-        "points": "points",
-        "detections": "detections",
-        "sweep": "sweep",
-        "route": "route",
-    }
+    outputs = {name: name for name in ("clock", "truth", "pose", "points", "detections", "sweep", "route")}
 
     def __init__(
         self,

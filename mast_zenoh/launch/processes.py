@@ -163,8 +163,7 @@ def check_interpreters(nodes: Mapping[str, NodeSpec]) -> None:
 
     Raises ConfigurationError for one without it, VersionMismatch for one with another.
     """
-    names = {spec.python: name for name, spec in nodes.items() if spec.python}
-    for python, name in names.items():
+    for python, name in {spec.python: name for name, spec in nodes.items() if spec.python}.items():
         tell = "from mast_zenoh.mesh import hosting; from mast_zenoh import version; print(version.version_string())"
         try:
             answer = subprocess.run(

@@ -24,12 +24,7 @@ from mast_zenoh.sensing.points import Points
 
 #: A point as point clouds of other programs have it: m, 0 to 1, s from the time of the scan, and the channel.
 CLOUD = np.dtype(
-    {
-        "names": ["x", "y", "z", "intensity", "t", "ring"],
-        "formats": ["<f4", "<f4", "<f4", "<f4", "<f4", "<u2"],
-        "offsets": [0, 4, 8, 12, 16, 20],
-        "itemsize": 24,
-    }
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("t", "<f4"), ("ring", "<u2")], align=True
 )
 
 
@@ -46,11 +41,10 @@ class LidarScan(NamedTuple):
 
     def cloud(self) -> NDArray[np.void]:
         """(n,) of CLOUD."""
-        result = np.zeros(len(self.points), CLOUD)
-        for axis, values in zip("xyz", self.points.position.T, strict=True):
-            result[axis] = values
-        for name, column in (("intensity", "intensity"), ("t", "time_s"), ("ring", "channel")):
-            result[name] = getattr(self.points, column)
+        points, result = self.points, np.zeros(len(self.points), CLOUD)
+        columns = *points.position.T, points.intensity, points.time_s, points.channel
+        for name, column in zip(CLOUD.names or (), columns, strict=True):
+            result[name] = column
         return result
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,6 @@ from mast_zenoh.sensing.points import Points
 
 #: Limits on the points of one scan, which is one message, and of all in a recording, which is in memory.
 MAX_POINTS, MAX_ALL_POINTS = MAX_ROWS, 40_000_000
-#: Names of the columns of points.
-_COLUMNS = tuple(each.name for each in fields(Points))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +71,7 @@ class RecordedScans:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> RecordedScans:
         """What `arrays` returned."""
-        points = Points(*(arrays[f"scans.{name}"] for name in _COLUMNS))
+        points = Points.from_columns({name.removeprefix("scans."): column for name, column in arrays.items()})
         return cls(arrays["scans.recorded"], arrays["scans.start"], points)
 
     def problems(self, frames: int, agents: int) -> Iterator[str]:

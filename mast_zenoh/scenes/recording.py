@@ -517,23 +517,7 @@ class _OpenedRecording(Recording):
         return super()._held(name, read) | mapped
 
 
-_ARRAYS = tuple(
-    field.name
-    for field in fields(Recording)
-    if field.name
-    not in (
-        "name",
-        "agents",
-        "period_ns",
-        "truth",
-        "detections",
-        "buildings",
-        "sweeps",
-        "measurements",
-        "notes",
-        "scans",
-    )
-)
+_ARRAYS = tuple(field.name for field in fields(Recording) if field.name in SHAPES)
 _MEASUREMENTS = tuple(field.name for field in fields(Measurements))
 
 

@@ -327,9 +327,7 @@ def changed_objects(
         unset = present[ids[present] < 0]  # the id as received takes precedence
         ids[unset] = side.columns["id"][row[unset]] if "id" in side.columns else -1
     return ObjectChanges(
-        frame=np.array([item.frame for item in messages], np.int64)[message_row],
-        seq=np.array([item.seq for item in messages], np.int64)[message_row],
-        step=np.array([item.step for item in messages], np.int64)[message_row],
+        **_times(messages, message_row),
         effect=effect,
         columns=_bit_names(columns, names),
         id=ids,
@@ -342,6 +340,11 @@ def changed_objects(
         frames_late=np.zeros(len(chosen), np.int64),
         points=np.zeros(len(chosen), np.int64),
     ), others
+
+
+def _times(messages: Sequence[ChangedMessage], row: Ints) -> dict[str, Ints]:
+    """Frame, number and step of messages by row (k,)."""
+    return {name: np.array([getattr(item, name) for item in messages])[row] for name in ("frame", "seq", "step")}
 
 
 def changed_scans(messages: Sequence[ChangedMessage]) -> tuple[ObjectChanges, tuple[tuple[str, ...], ...]]:
@@ -357,9 +360,7 @@ def changed_scans(messages: Sequence[ChangedMessage]) -> tuple[ObjectChanges, tu
     gained = (effect == INSERTED)[:, None]
     reference = np.stack([np.stack([_reference(item.before), _reference(item.after)]) for item in messages], axis=1)
     return ObjectChanges(
-        frame=np.array([item.frame for item in messages], np.int64)[row],
-        seq=np.array([item.seq for item in messages], np.int64)[row],
-        step=np.array([item.step for item in messages], np.int64)[row],
+        **_times(messages, row),
         effect=effect,
         columns=text([""] * len(found)),
         id=np.full(len(found), -1, np.int64),
