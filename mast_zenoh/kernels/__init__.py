@@ -23,24 +23,7 @@ from mast_zenoh.kernels.source_digest import digest
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: The files with kernels.
-MODULES = (
-    "attacks",
-    "boxes",
-    "casts",
-    "clusters",
-    "columns",
-    "frames",
-    "grouping",
-    "matching",
-    "medians",
-    "pairs",
-    "point_clusters",
-    "rays",
-    "scans",
-    "tracks",
-    "uper_decoding",
-    "uper_encoding",
-)
+MODULES = tuple(sorted(path.stem for path in Path(__file__).parent.glob("*.pyx")))
 
 #: The build writes here why it compiled no kernels: a reason, and the compiler's last line.
 NOT_COMPILED = Path(__file__).with_name("not_compiled.txt")
