@@ -25,6 +25,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from mast_datasets.files import Coordinate, Count, Element, Point, Seconds, Size, closed_outline, only, read_json
+from mast_datasets.point_files import PointFiles, read_bin
 from mast_datasets.traffic import ABOVE_0, DataSetScene, boxes_of, check_steps
 from mast_zenoh.arrays.geometry import heading, rotation_from_quaternion
 from mast_zenoh.arrays.states import Detections, Floats, Ints
@@ -66,18 +67,18 @@ class RunLayout(NamedTuple):
         names = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
         return [name for name in names if (parts := name.split("-"))[0] == kind and parts[-1] == str(agent)]
 
-    def calibrations(self, sensor: str, frames: Sequence[int]) -> dict[int, Path]:
-        """The calibration of a sensor in every frame."""
-        return _files(self.run / "data" / sensor, "calib", frames)
+    def of_sensor(self, kind: str, sensor: str, frames: Sequence[int]) -> dict[int, Path]:
+        """The file of a sensor in every frame. kind: "calib" or "data", which are points"""
+        return _files(self.run / "data" / sensor, kind, frames)
 
 
 @contextlib.contextmanager
-def open_layout(path: Path, max_unpacked_mb: float) -> Iterator[RunLayout]:
+def open_layout(path: Path, max_unpacked_mb: float, more: tuple[str, ...] = ()) -> Iterator[RunLayout]:
     """Open the layout at `path`: a run folder, a folder above one, or a tar archive.
 
-    A folder above must contain a single run. An archive is unpacked into a temporary folder, without the images and
-    point clouds; the folder is deleted when the context ends. Raises SceneError without exactly one run, or if the
-    files exceed `max_unpacked_mb` (10^6 bytes).
+    A folder above must contain a single run. An archive is unpacked into a temporary folder, of images and points only
+    what has an ending in `more`; the folder is deleted when the context ends. Raises SceneError without exactly one
+    run, or if the files exceed `max_unpacked_mb` (10^6 bytes).
     """
     if path.is_dir():
         yield find_layout(path)
@@ -85,7 +86,7 @@ def open_layout(path: Path, max_unpacked_mb: float) -> Iterator[RunLayout]:
     if not path.is_file():
         raise SceneError(f"{path}: no such file or folder")
     with tempfile.TemporaryDirectory(prefix="mast-scene-") as folder:
-        unpack(path, Path(folder), (".txt", ".json", ".jsonl"), int(max_unpacked_mb * 1e6))
+        unpack(path, Path(folder), (".txt", ".json", ".jsonl", *more), int(max_unpacked_mb * 1e6))
         # Error messages name the archive, not the temporary folder.
         try:
             yield find_layout(Path(folder))
@@ -108,10 +109,11 @@ def _files(folder: Path, kind: str, frames: Sequence[int] | None = None) -> dict
 
     Raises SceneError with the first frame that has none, and for a name without a number.
     """
-    begin = "calib-timestamp_" if kind == "calib" else f"objectstate-{kind}-"
-    name = re.compile(r".*-frame_([0-9]+)\.txt" if kind == "calib" else rf"{begin}([0-9]+)-[^-]*\.txt")
+    is_of_sensor, ending = kind in ("calib", "data"), "bin" if kind == "data" else "txt"
+    begin = f"{kind}-timestamp_" if is_of_sensor else f"objectstate-{kind}-"
+    name = re.compile((r".*-frame_([0-9]+)\." if is_of_sensor else rf"{begin}([0-9]+)-[^-]*\.") + ending)
     files: dict[int, Path] = {}
-    for path in folder.glob(f"{begin}*.txt"):
+    for path in folder.glob(f"{begin}*.{ending}"):
         match = name.fullmatch(path.name)
         if match is None:
             raise SceneError(f"{path}: found no frame number in the name, expected {begin}… with one")
@@ -392,7 +394,7 @@ _OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
 @dataclass(kw_only=True, eq=False)
-class AVstackScene(DataSetScene):
+class AVstackScene(PointFiles, DataSetScene):
     """A scene in the CARLA multi-agent layout.
 
     With its accompanying files, see docs/how-to-scenes.md.
@@ -424,7 +426,7 @@ class AVstackScene(DataSetScene):
         return super().recognises(path) or (path.is_file() and path.name.endswith(_ARCHIVES))
 
     def record(self, seed: int, frames: int | None) -> Recording:
-        with open_layout(self.root, self.max_unpacked_mb) as layout:
+        with open_layout(self.root, self.max_unpacked_mb, (".bin",) * self.recorded_points) as layout:
             return self._record(layout, layout.frames(), seed, frames)
 
     def _record(self, layout: RunLayout, files: dict[int, Path], seed: int, frames: int | None) -> Recording:
@@ -452,7 +454,10 @@ class AVstackScene(DataSetScene):
         turns = np.stack([path.rotation @ path.agent.sensor.mount_rotation for path in paths], axis=1)
         file = layout.accompanying_file("detections.jsonl") if self.replay else None
         detected = read_json_lines(file, numbers, agents, turns) if file else self.detector
-        return replace(make(paths, detected), times_ns=times)
+        recording, lidars = replace(make(paths, detected), times_ns=times), []
+        if self.recorded_points:
+            lidars = [layout.of_sensor("data", layout.sensors("lidar", number)[0], numbers) for number in agents]
+        return self.with_points(recording, layout.run, *(files.values() for files in lidars), read=read_bin)
 
     def _agents(self, actors: dict[int, ObjectState], run: Path) -> list[int]:
         """Numbers of the agents: the ego, other mobile agents, then static agents."""
@@ -516,7 +521,7 @@ def _path(layout: RunLayout, numbers: list[int], number: int, is_ego: bool, stat
     lidars = layout.sensors("lidar", number)
     if not lidars:
         raise SceneError(f"{layout.run / 'data'}: no folder lidar-<k>-{number} for agent {number}")
-    files = layout.calibrations(lidars[0], numbers)
+    files = layout.of_sensor("calib", lidars[0], numbers)
     mount_position, mount_rotation = _mount(read_json(files[numbers[0]])["calibration"], position[0], rotation[0])
     for k, path in enumerate(files.values()):
         calibrated, _ = _frame(read_json(path)["calibration"]["reference"])
@@ -530,7 +535,7 @@ def _path(layout: RunLayout, numbers: list[int], number: int, is_ego: bool, stat
     lidar = replace(lidar, mount_position=mount_position, mount_rotation=mount_rotation)
     camera = Camera()
     for name in layout.sensors("camera", number)[:1]:
-        read = read_json(layout.calibrations(name, numbers)[numbers[0]])["calibration"]
+        read = read_json(layout.of_sensor("calib", name, numbers)[numbers[0]])["calibration"]
         height, width, *_ = read["img_shape"].read(_Pixels)
         camera_position, camera_rotation = _mount(read, position[0], rotation[0])
         camera = Camera(camera_position, camera_rotation @ _OPTICAL, width, height, read["P"].read(_Focal)[0][0])

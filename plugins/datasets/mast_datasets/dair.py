@@ -16,6 +16,7 @@ import numpy as np
 from msgspec import Meta
 
 from mast_datasets.files import Coordinate, Element, Name, Point, choose_name, find_folder, read_json
+from mast_datasets.point_files import PointFiles
 from mast_datasets.traffic import ABOVE_0, DataSetScene, Labels, check_times, choose_frames, classes_of, listed_returns
 from mast_zenoh.arrays.geometry import along_and_across, heading, rotation_from_yaw, to_world
 from mast_zenoh.arrays.matching import greedy_matching
@@ -166,6 +167,10 @@ class DAIRFolder(NamedTuple):
         """The file of what a side lists. side: VEHICLE or INFRASTRUCTURE"""
         sensor, name = ("lidar", pair.vehicle) if side == VEHICLE else ("virtuallidar", pair.infrastructure)
         return self.root / side / "label" / sensor / f"{name}.json"
+
+    def scan(self, side: str, pair: Pair) -> Path:
+        """The file of a side's points. side: VEHICLE or INFRASTRUCTURE"""
+        return self.root / side / "velodyne" / f"{pair.vehicle if side == VEHICLE else pair.infrastructure}.pcd"
 
     def poses(self, pairs: list[Pair]) -> tuple[LidarPoses, LidarPoses]:
         """The poses of the lidars of the car, and of the pole with the pairs' offsets."""
@@ -471,7 +476,7 @@ _CAMERA = Camera(mount_position=_ORIGIN)
 
 
 @dataclass(kw_only=True, eq=False)
-class DAIRScene(DataSetScene):
+class DAIRScene(PointFiles, DataSetScene):
     """A sequence of V2X-Seq-SPD or DAIR-V2X-C: a car and a pole, with cooperative labels.
 
     path:                  the folder of the data set, or a folder that holds a single one; the name of a sequence may
@@ -546,7 +551,9 @@ class DAIRScene(DataSetScene):
         ][: 1 + (self.n_infrastructure != 0)]
         _, (sequence,) = self.chosen(PAIRS, "sequence")
         name = f"{layout.root.name} {sequence or ''}".strip()
-        return assemble(name, times, truth.boxes, seen, self.detector, seed=seed, frames=frames)
+        recording = assemble(name, times, truth.boxes, seen, self.detector, seed=seed, frames=frames)
+        files = [[layout.scan(side, pair) for pair in pairs] for side in (VEHICLE, INFRASTRUCTURE)][: len(seen)]
+        return self.with_points(recording, layout.root, *files)
 
     def _pairs(self) -> tuple[DAIRFolder, list[Pair]]:
         """The folders, and the pairs of the requested frames, with times checked."""

@@ -15,13 +15,12 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from mast_datasets.files import Angle, Coordinate, Count, Element, Side, choose_name, orthonormal, read_lines
-from mast_datasets.point_files import read_bin
+from mast_datasets.point_files import PointFiles, read_bin
 from mast_datasets.traffic import TrafficScene, boxes_of, choose_frames, classes_of, listed_returns
 from mast_zenoh.arrays.geometry import heading
 from mast_zenoh.arrays.states import CLASS_INDEX, Floats, Ints
 from mast_zenoh.errors import SceneError
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
-from mast_zenoh.scenes.recorded_scans import RecordedScans
 from mast_zenoh.scenes.recording import Recording, SceneAgent
 from mast_zenoh.sensing import Camera, LidarSensor
 
@@ -178,7 +177,7 @@ _EGO_LIDAR = LidarSensor(elevation_min_deg=-24.8, elevation_max_deg=2.0, max_ran
 
 
 @dataclass(kw_only=True, eq=False)
-class KittiTracking(TrafficScene):
+class KittiTracking(PointFiles, TrafficScene):
     """A sequence of the KITTI tracking benchmark: a real car in real traffic, to which virtual agents are added.
 
     path:             the folder with label_02, calib and oxts, such as "training"
@@ -201,7 +200,6 @@ class KittiTracking(TrafficScene):
     sequence: str | None = None
     first_frame: int = 0
     last_frame: int | None = None
-    recorded_points: bool = False
 
     def inputs(self) -> Sequence[Path]:
         """The folders of labels, calibrations and positions, and of scans."""
@@ -228,14 +226,9 @@ class KittiTracking(TrafficScene):
         paths, times_ns = self.agents(boxes, ego, labels_file), np.arange(count) * _PERIOD_NS
         name = f"kitti-{labels_file.stem}"
         recording = assemble(name, times_ns, boxes, paths, self.detector, seed=seed, frames=frames)
-        if not self.recorded_points:
-            return recording
         folder = self.root / _SCANS / labels_file.stem
-        if not folder.is_dir():
-            raise SceneError(f"{folder}: no such folder, expected a file of points for each frame, such as 000000.bin")
-        scans = (read_bin(folder / f"{window.start + frame:06d}.bin") for frame in range(len(recording)))
-        kept = RecordedScans.of(folder, len(recording), len(recording.agents), {0: scans})
-        return replace(recording, scans=kept)
+        files = (folder / f"{window.start + frame:06d}.bin" for frame in range(count))
+        return self.with_points(recording, folder, files, read=read_bin)
 
     def _find(self) -> list[Path]:
         """Files of labels, calibration and positions of the sequence."""

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from mast_datasets import opv2v_files as layout
 from mast_datasets.files import read_yaml
 from mast_datasets.opv2v_files import AgentFolder, Poses, Variant
+from mast_datasets.point_files import PointFiles, read_pcd
 from mast_datasets.traffic import DataSetScene, check_steps, choose_frames, listed_returns
 from mast_zenoh.arrays.geometry import heading, rotation_from_yaw
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Floats, Ints
 from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.making.assembly import AgentPath, SceneBoxes, assemble
 from mast_zenoh.scenes.recording import Recording, SceneAgent
-from mast_zenoh.sensing import Camera
+from mast_zenoh.sensing import Camera, Points
 
 _MAX_SPEED_M_S = 70.0  # of an object whose id lasts,
 _MAX_STEP_M = 5.0  # in addition to this
@@ -268,7 +269,7 @@ class Playing(NamedTuple):
 
 
 @dataclass(kw_only=True, eq=False)
-class ScenarioFolder(DataSetScene):
+class ScenarioFolder(PointFiles, DataSetScene):
     """What the scenes of the family have in common: parameters, the choice of agents and frames.
 
     ego:                     number of the car that is the ego; None: the lowest
@@ -310,7 +311,15 @@ class ScenarioFolder(DataSetScene):
         for column in playing.columns:
             path = playing.path(column, self._variant())
             paths.append(replace(path, points=self._points(playing, column, path, frames)))
-        return assemble(folder.name, times, playing.boxes, paths, self.detector, seed=seed, frames=frames)
+        recording = assemble(folder.name, times, playing.boxes, paths, self.detector, seed=seed, frames=frames)
+        playing_agents = [playing.agents[column] for column in playing.columns]
+        files = [[agent.file(number).with_suffix(".pcd") for number in numbers] for agent in playing_agents]
+        return self.with_points(recording, folder, *files, read=self._scan)
+
+    def _scan(self, path: Path) -> Points:
+        """The points of a file, with y to the left."""
+        points = read_pcd(path)
+        return points.turned(np.diag(layout.FLIP)) if self._variant().left_handed else points
 
     def _ego_first(self, folder: Path, agents: list[AgentFolder]) -> list[AgentFolder]:
         """The ego, then the other cars, then the poles."""

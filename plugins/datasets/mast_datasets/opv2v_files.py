@@ -103,7 +103,8 @@ V2V4REAL = Variant(
 
 
 _Pose = tuple[Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate]
-_FLIP = np.array([1.0, -1.0, 1.0])
+#: Inverts y.
+FLIP = np.array([1.0, -1.0, 1.0])
 
 
 def pose(element: Element, left_handed: bool) -> tuple[Floats, Floats]:
@@ -113,11 +114,11 @@ def pose(element: Element, left_handed: bool) -> tuple[Floats, Floats]:
     """
     if isinstance(element.value, list) and len(element.value) == 4:
         position, rotation = element.rigid()
-        rotation = rotation * np.outer(_FLIP, _FLIP) if left_handed else rotation
+        rotation = rotation * np.outer(FLIP, FLIP) if left_handed else rotation
     else:
         values = np.array(element.read(_Pose))
         position, rotation = values[:3], rotations(values[None, 3:], left_handed)[0]
-    return (position * _FLIP if left_handed else position), rotation
+    return (position * FLIP if left_handed else position), rotation
 
 
 def rotations(angle: Floats, left_handed: bool) -> Floats:
@@ -284,7 +285,7 @@ def read_labels(content: Element, variant: Variant, agent: Poses | None, frame: 
             rows.append((number, shared, kind, *box.location, *box.center, *box.extent, *box.angle))
     table = np.array([row[3:] for row in rows], np.float64).reshape(-1, 12)
     ids, associated, classes = np.array([row[:3] for row in rows], np.int64).reshape(-1, 3).T
-    position = (table[:, :3] + table[:, 3:6]) * (_FLIP if variant.left_handed else 1.0)
+    position = (table[:, :3] + table[:, 3:6]) * (FLIP if variant.left_handed else 1.0)
     rotation = rotations(table[:, 9:], variant.left_handed)
     if variant.own_labels and agent is not None:
         position = agent.lidar + position @ agent.rotation.T

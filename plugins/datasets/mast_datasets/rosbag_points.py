@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
-from mast_datasets.point_files import checked
+from mast_datasets.point_files import MAX_FIELDS, points_of_columns
 from mast_datasets.rosbag import PointsEntry
 from mast_datasets.rosbag_storage import MAX_MESSAGE_BYTES, Bag
 from mast_zenoh.errors import MessageError, SceneError
@@ -22,10 +22,6 @@ from mast_zenoh.sensing import Points
 
 #: Numbers of a PointField by its `datatype`.
 _KINDS: Mapping[int, str] = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-#: Names that drivers give to intensities, times and channels.
-_NAMES = (("intensity", "i", "reflectivity"), ("t", "time", "time_stamp"), ("ring", "channel", "line"))
-_MAX_TIME_S = 1.0  # from the time of the message; others are no times of firings
-_MAX_FIELDS = 100
 _STORE = get_typestore(Stores.ROS2_JAZZY)
 _STORE.max_sequence_length = MAX_MESSAGE_BYTES
 
@@ -73,18 +69,7 @@ def points_of(message: RosMessage, place: str, most_intensity: float = 1.0) -> P
 
     Times and channels are kept together, or neither. Raises SceneError for a message that cannot be.
     """
-    values = _columns(message, place)
-    with np.errstate(over="ignore"):
-        position = np.stack([values[axis].astype(np.float32) for axis in "xyz"], axis=1)
-    kept = np.isfinite(position).all(axis=1) & position.any(axis=1)
-    none = np.zeros(len(position), np.float32)
-    share, time_s, channel = (next((values[n] for n in names if n in values), none)[kept] for names in _NAMES)
-    share = np.clip(share / most_intensity, 0.0, 1.0).astype(np.float32)
-    time_s = (time_s * (1.0 if time_s.dtype.kind == "f" else 1e-9)).astype(np.float32)
-    known = bool(time_s.any() and (np.abs(time_s) <= _MAX_TIME_S).all() and ((channel >= 0) & (channel < 256)).all())
-    if not known:
-        time_s = channel = none[kept]
-    return checked(Points(position[kept], share, time_s, channel.astype(np.uint8)), place)
+    return points_of_columns(_columns(message, place), place, most_intensity)
 
 
 def _columns(message: RosMessage, place: str) -> dict[str, NDArray[Any]]:
@@ -95,8 +80,8 @@ def _columns(message: RosMessage, place: str) -> dict[str, NDArray[Any]]:
     if row < message.width * step or len(message.data) != row * message.height:
         found = f"{len(message.data)} bytes for {message.height} rows of {message.width} points of {step} bytes"
         raise SceneError(f"{place}: found {found}, row_step {row}, expected as many bytes as that")
-    if len(message.fields) > _MAX_FIELDS:
-        raise SceneError(f"{place}: found {len(message.fields)} fields, expected at most {_MAX_FIELDS}")
+    if len(message.fields) > MAX_FIELDS:
+        raise SceneError(f"{place}: found {len(message.fields)} fields, expected at most {MAX_FIELDS}")
     order = ">" if message.is_bigendian else "<"
     result = {}
     content = np.asarray(message.data, np.uint8).reshape(message.height, row)[:, : message.width * step]
@@ -109,8 +94,4 @@ def _columns(message: RosMessage, place: str) -> dict[str, NDArray[Any]]:
             raise SceneError(f"{place}: {field.name!r:.80} is at byte {field.offset}, expected it in {step} bytes")
         part = np.ascontiguousarray(content[:, field.offset : field.offset + kind.itemsize])
         result[field.name] = part.view(kind).reshape(count)
-    for axis in "xyz":
-        if axis not in result or result[axis].dtype.kind != "f":
-            named = ", ".join(f"{name} ({values.dtype})" for name, values in result.items())
-            raise SceneError(f"{place}: found the fields {named or 'none'}, expected x, y and z of floating point")
     return result
