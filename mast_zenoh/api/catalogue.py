@@ -48,7 +48,7 @@ _SUFFIXES = {
     "_m": "m",
 }
 #: A unit at the beginning of a description: `m, how far …`, `s of scene time`.
-_LEADING = re.compile(r"(?:\([^)]*\) )?(m/s²|m/s|rad|m|s)(?=,| of scene time| until| without| for| to)")
+_LEADING = re.compile(r"(?:\([^)]*\) )?(m/s²|m/s|rad|m|s|frames)(?=,| of scene time| until| without| for| to)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +198,10 @@ _BASES: Mapping[str, Mapping[str, type]] = {
         "fusions: fuse a cluster into one state": fusion.Fusion,
         "group trackers: clusters over time": fusion.GroupTracker,
     },
-    "defences": {"integrity stages: judge agents and objects": integrity.Integrity},
+    "defences": {
+        "integrity stages: judge agents and objects": integrity.Integrity,
+        "checks: judge detections by the points of a scan": sensing.PointCheck,
+    },
     "scenes": {
         "scenes: ground truth": scenes.Scene,
         "detectors: detections from lidar visibility": sensing.Detector,
@@ -359,13 +362,14 @@ def list_kind(kind: str) -> Listing:
         group = "codecs of wires, named in a [[codec]] of a key-expression map"
         return Listing(kind, [Entry(name, group, codec.meaning) for name, codec in CODECS.items()])
     plugins.load()
-    entries = list(_special(kind))
+    special = list(_special(kind))
+    entries = [] if kind == "scenes" else special
     for group, base in _BASES[kind].items():
         entries += [
             Entry(name, group, _description(cls), parameters_of(cls, getattr(cls, "described_by", ())), cls)
             for name, cls in registry.known_types(base).items()
         ]
-    return Listing(kind, entries)
+    return Listing(kind, entries if entries is special else entries + special)
 
 
 def _description(cls: type) -> str:
@@ -376,7 +380,7 @@ def _description(cls: type) -> str:
 
 
 def _special(kind: str) -> Iterator[Entry]:
-    """Entries that are not classes: link profiles, built-in metrics."""
+    """Entries that are not classes: link profiles, built-in metrics, lidars."""
     if kind == "links":
         for name, ways in links.PROFILES.items():
             rules = ", then ".join(_rule(rule) for rule in ways["up"]) or "no rule"
@@ -385,6 +389,9 @@ def _special(kind: str) -> Iterator[Entry]:
     if kind == "metrics":
         for measure in MEASURES.values():
             yield Entry(measure.label, "always computed, for every estimate of every agent", summary(type(measure)))
+    if kind == "scenes":
+        for name, model in sensing.MODELS.items():
+            yield Entry(name, "lidars: models for `lidar` of a scenario's `points`", str(model))
 
 
 def _messages() -> Iterator[Entry]:

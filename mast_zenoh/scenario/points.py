@@ -30,7 +30,7 @@ KEYS = {
     "detector": "finds objects in the points, a `PointDetector`; each lidar has one of its own",
     "detected_by": f"where that is done, one of {', '.join(PLACES)}: in a node `detector_AGENT` between lidar and "
     "agent; in the agent; or where the points are made, so that none are sent",
-    "late_frames": "frames by which the detections of nodes are late; in real time, the time that they take is added",
+    "late_frames": "frames, by which the detections of nodes are late; in real time, the time that they take is added",
     "node": "of the nodes that detect: keys that every node may have, such as `python`, and parameters of their class",
     "recorded": "whether points are recorded, 21 bytes each before compression; None: on wires with an interposer",
 }

@@ -72,6 +72,11 @@ class LidarModel:
     offset_deg: tuple[float, ...] = ()
     sector_deg: float = 360.0
 
+    def __str__(self) -> str:
+        low, high = self.elevation_deg[0], self.elevation_deg[-1]
+        channels = f"{len(self.elevation_deg)} channels from {low:g}° to {high:g}°"
+        return f"{channels}, {self.azimuths} azimuths in {self.sector_deg:g}°, {self.range_m[1]:g} m ({self.source})"
+
     def beams(self, period_s: float = 0.1) -> Beams:
         """The beams of a turn that takes `period_s`; 0: all at once."""
         step = np.radians(self.sector_deg) / self.azimuths

@@ -56,7 +56,8 @@ class OcclusionCheck(PointCheck):
     detection of CARLO (Sun et al., USENIX Security 2020, section 6.1), whose attacks it reduces from 80 to 5.5 %. 1 for
     other classes, and for boxes that fewer than 5 beams meet.
 
-    least: 0 to 1; 0.8 refuses under 3 % of real cars (docs/explanation-points.md)
+    least: 0 to 1, share below which a vehicle is refused; 0.8 refuses under 3 % of real cars
+           (docs/explanation-points.md)
     """
 
     def __init__(self, *, least: float = 0.8) -> None:
@@ -98,7 +99,8 @@ class ShadowCheck(PointCheck):
     (weights of Shadow-Catcher, Hau et al., ESORICS 2021, section 5.2). Plausibility is the share of the object's own
     points among these and its own. Theirs is over 94 % accurate.
 
-    least: 0 to 1; 0.85 refuses under 3 % of real cars (docs/explanation-points.md)
+    least: 0 to 1, share below which an object is refused; 0.85 refuses under 3 % of real cars
+           (docs/explanation-points.md)
     length_m: m, of the shadow that is looked at
     """
 
@@ -145,8 +147,10 @@ class TemporalCheck(PointCheck):
     detections from earlier ones: over 98 % of attacks, recall of real objects 91 %.
 
     least:   0 to 1, a place that was more than 1 - least free is refused
-    gate_m:  m, from the predicted position;  fastest_m: m, an object may move from one scan to the next
-    memory:  scans for which an object that is not detected is remembered;  forgive: scans
+    gate_m:  m, from the predicted position within which a detection continues an earlier one
+    fastest_m: m, that an object without a known velocity may move from one scan to the next
+    memory:  scans for which an object that is not detected is remembered
+    forgive: scans after which an object that appeared in free space is plausible
     """
 
     def __init__(

@@ -9,9 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mast_zenoh as mast
-from mast_zenoh import (
-    links,
-)
+from mast_zenoh import attacks, links, sensing
 from mast_zenoh.api.catalogue import KINDS, Entry, described, unit_of
 from mast_zenoh.cli.app import app
 from mast_zenoh.config import bundle, registry
@@ -25,8 +23,8 @@ _BASES = """
     trackers: fusion.pipelines.AgentPipeline tracking.Tracker tracking.Assignment
     fusion: fusion.pipelines.MissionEstimator fusion.pipelines.Pipeline fusion.Clusterer fusion.Fusion \
         fusion.GroupTracker
-    defences: integrity.Integrity
-    scenes: scenes.Scene sensing.Detector
+    defences: integrity.Integrity sensing.PointCheck
+    scenes: scenes.Scene sensing.Detector sensing.PointDetector sensing.Returns sensing.Clutter
     links: links.Rule
     faults: faults.Fault
     metrics: metrics.Metric metrics.Assigner
@@ -74,6 +72,21 @@ def test_every_class_is_listed_with_all_its_parameters(kind: str, bases: list[ty
             taken = [name for name, each in signature.items() if each.kind is not each.VAR_KEYWORD]
             entries = [entry for entry in listing if entry.name == name]
             assert taken in [[parameter.name for parameter in entry.parameters] for entry in entries]
+
+
+def test_what_the_scenario_spoofed_can_name_is_listed() -> None:
+    """Its attacks, places of spoofers, checks, detectors, clutter and lidars."""
+    listed = {kind: set(mast.list(kind).names) for kind in ("attacks", "defences", "scenes")}
+    accepted = {
+        "attacks": (attacks.Attack, attacks.Spoofer),
+        "defences": (sensing.PointCheck,),
+        "scenes": (sensing.PointDetector, sensing.Clutter),
+    }
+    for kind, bases in accepted.items():
+        for base in bases:
+            assert set(registry.known_types(base)) <= listed[kind]
+    assert set(sensing.MODELS) <= listed["scenes"]
+    assert "32 channels from -25° to 15°, 1800 azimuths in 360°, 200 m" in mast.list("scenes")["VLP-32C"].description
 
 
 def test_entries_without_a_class_are_listed_too() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from mast_ros2.mesh import Connection, Tls, connection_of_scenario
 
-from mast_zenoh.api.catalogue import Parameter, described, parameters_of, summary
+from mast_zenoh.api.catalogue import Parameter, described, parameters_of, summary, unit_of
 from mast_zenoh.config import bundle, loading, registry
 from mast_zenoh.config.settings import KEYS
 from mast_zenoh.deploy.ssh.hostsfile import HostsFile, Router, SshAddress, SshHost
@@ -98,8 +98,11 @@ def scenario_page() -> str:
 def points_parameters() -> tuple[Parameter, ...]:
     """The keys of `points` of a scenario: of the scans, and where objects are detected."""
     scans = (parameter for parameter in parameters_of(ScannedPoints) if parameter.name in points.SCANS)
-    defaults = points.OTHERS.items()
-    return (*scans, *(Parameter(key, repr(value), "", points.KEYS[key]) for key, value in defaults))
+    others = []
+    for key, default in points.OTHERS.items():
+        unit = unit_of(key, points.KEYS[key])
+        others.append(Parameter(key, repr(default), unit, points.KEYS[key].removeprefix(f"{unit}, ")))
+    return (*scans, *others)
 
 
 def node_classes() -> list[Any]:

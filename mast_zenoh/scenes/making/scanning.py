@@ -46,7 +46,7 @@ _NEAR_M = 50.0
 class ScannedPoints:
     """How the lidars of a scene are scanned.
 
-    lidar:   a model, see `sensing.beams.MODELS`, or models by agent or pattern ("infra_*"); None: the agents' own, or
+    lidar:   a model, see `mast list scenes`, or models by agent or pattern ("infra_*"); None: the agents' own, or
              the points that the scene's data recorded
     returns: what a lidar measures of what its beams meet
     clutter: still objects beside the roads, which are not in the scene's truth; None: none
