@@ -199,7 +199,7 @@ def note_recording(
         lost = counts_of(handed_in.get(recorder, {}).get("recorded")).get("lost")
         driver = driver_of(nodes)
         if record.get("mode") == "realtime" and driver:
-            gap = first_missing_frame(folder, driver)
+            gap = first_missing_frame(folder, driver, scans=bool(nodes[recorder].config.get("points")))
             gaps += [] if gap is None else [gap]
         complete = recorder in handed_in and not lost and not gaps
         from_frame = {} if complete else {"from_frame": min([first_incomplete_frame(folder), *gaps])}

@@ -224,7 +224,7 @@ def test_completeness_in_real_time_is_measured_from_the_recording(
 ) -> None:
     node_results = {"rec": {"recorded": {"messages": 7, "lost": 0}}}
     for mode, gap, expected in (("realtime", 185, False), ("realtime", None, True), ("lockstep", 185, True)):
-        monkeypatch.setattr(conclusion, "first_missing_frame", lambda folder, publisher, gap=gap: gap)
+        monkeypatch.setattr(conclusion, "first_missing_frame", lambda folder, publisher, scans, gap=gap: gap)
         record: dict[str, Any] = {"message": "", "mode": mode}
         conclusion.note_recording(tmp_path, record, node_results, SPECS)
         assert record["recording"]["complete"] is expected

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 from launched import Launched, Observer, eventually
 
@@ -114,6 +115,33 @@ def test_the_commands_report_success_or_the_reason_for_failure_which_changes_not
     code, output = mast("intercept", folder, "--wire", TRACKS, "--with", "mine.py", cwd=tmp_path)
     assert code == 26
     assert "the run is over" in output
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+def test_a_lidar_that_is_attacked_during_a_run_loses_points_and_the_recording_has_them(launch, mode: str) -> None:
+    sparse = ("lidar=VLP-16", "n_infrastructure=0", "n_mobile=0", "attack=none")
+    pace = ("--rate", "0.4") if mode == "realtime" else ()
+    run = launch("spoofed", "--mode", mode, *pace, *(word for each in sparse for word in ("--set", each)))
+    run.at_frame(5)
+    settings = ("attack.start_s=0", "attack.place=None", "attack.sector_deg=60")
+    change = live_interception.intercept(run.out, "agent/ego/points", "HighFrequencyRemoval", settings=settings)
+    assert change["wires"] == ["agent/ego/points"]
+    run.at_frame(change["frame"] + 12)
+    live_interception.release(run.out, name=change["node"])
+    record = stop(run)
+    assert record["recording"] == {"complete": True}
+    scans: dict[int, dict[bool, bytes]] = {}
+    for message in read(run.out):
+        if message.message == "points":
+            assert message.wire == "agent/ego/points"
+            scans.setdefault(message.frame, {})[message.tap] = message.payload
+    assert min(scans) == change["frame"], "before, points are not recorded"
+    assert sum(legs[True] != legs[False] for legs in scans.values()) >= 2
+    effects = pq.read_table(run.out / "attacks.parquet").to_pylist()
+    removed = [row for row in effects if row["effect"] == "removed"]
+    assert {row["interposer"] for row in removed} == {change["node"]}
+    assert sum(row["points"] for row in removed) > 10
+    assert {row["frame"] for row in removed} <= set(scans)
 
 
 def test_commands_do_not_wait_for_a_run_whose_launcher_was_killed(going) -> None:

@@ -477,8 +477,10 @@ def first_incomplete_frame(path: Path) -> int:
     return max(0, _first_absent(frames) - 1)
 
 
-def first_missing_frame(path: Path, publisher: str) -> int | None:
+def first_missing_frame(path: Path, publisher: str, scans: bool = True) -> int | None:
     """The first frame without a message of `publisher`; None if none is missing.
+
+    scans: whether scans count; not if they are recorded only while their wires have an interposer
 
     A missing message is a gap in the sequence numbers of its wire.
     A message counts as recorded if it was recorded on any leg of its wire. Missing messages after the last recorded one
@@ -487,7 +489,7 @@ def first_missing_frame(path: Path, publisher: str) -> int | None:
     recorded: defaultdict[str, dict[int, int]] = defaultdict(dict)  # by wire: sequence number to frame
     try:
         for message in read(file_of(path), lambda channel: channel.get("publisher") == publisher):
-            if not message.malformed:
+            if not message.malformed and (scans or message.message != "points"):
                 recorded[message.wire][message.seq] = message.frame
     except RunFolderError:
         return 0

@@ -26,6 +26,8 @@ from mast_zenoh.run_folder.recording import writer
 from mast_zenoh.run_folder.recording.format import JOINED, LEFT, REWIRED, RecordedEvent
 from mast_zenoh.run_folder.recording.reader import events, first_missing_frame, read
 from mast_zenoh.run_folder.recording.writer import MessageLog
+from mast_zenoh.sensing.points import Points
+from mast_zenoh.wiring.model import Input
 
 PAGE = Path(__file__).parents[3] / "docs" / "how-to-record-and-replay.md"
 
@@ -370,6 +372,19 @@ def test_a_gap_in_a_publishers_sequence_is_found(
     tmp_path: Path, missing: tuple[tuple[str, int], ...], first: int | None
 ) -> None:
     assert first_missing_frame(without(tmp_path / "run.mcap", *missing), "simulator") == first
+
+
+def test_scans_that_are_recorded_only_while_they_are_intercepted_leave_no_gap(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    key, turn = "agent/a/points", np.array([1.0, 0.0, 0.0, 0.0])
+    others = small_run()
+    monkeypatch.setitem(HEARS, key, Input("everything", "a", "points", "simulator"))
+    body = Points.empty().columns() | dict(mount_position=np.zeros(3), mount_rotation=turn, level_rotation=turn)
+    sent = [(key, payload(key, frame, body)) for frame in (2, 3, 5)]
+    path = write(tmp_path / "run.mcap", [*others, *sent])
+    assert first_missing_frame(path, "simulator") == 0
+    assert first_missing_frame(path, "simulator", scans=False) is None
 
 
 def test_an_unreadable_recording_may_lack_everything(tmp_path: Path) -> None:
