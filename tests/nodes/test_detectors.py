@@ -11,6 +11,8 @@ from tiny_world import PERIOD_NS, Bench, Run, tiny
 
 from mast_zenoh.arrays.geometry import quaternion_from_rotation, rotation_from_yaw_pitch
 from mast_zenoh.arrays.states import Detections
+from mast_zenoh.attacks.point_attacks import PointAttack
+from mast_zenoh.config import registry
 from mast_zenoh.config.resolved import Resolved, build_node
 from mast_zenoh.errors import MessageError
 from mast_zenoh.mesh.host import Host
@@ -22,7 +24,8 @@ from mast_zenoh.testing.simulation import Disturbance, Schedule, SimulatedWorld,
 from mast_zenoh.wiring.model import Wiring
 
 FRAMES = 6
-NODE = "detector_ego"
+NODE, SPOOFER = "detector_ego", "spoofer_1"
+BEFORE = "agent/ego/points/@tap/0"  # of the spoofer
 
 
 class SlowDetector(PointDetector):
@@ -49,9 +52,22 @@ class FailingDetector(PointDetector):
         return Detections.empty()
 
 
-def resolved(detector: str = "ClusterDetector", frames: int = FRAMES, **points: Any) -> Resolved:
-    options = dict(detector=dict(type=detector), lidar="VLP-16", clutter=None) | points
-    return tiny(frames=frames, edit=lambda content: content.update(points=options))
+def resolved(
+    detector: str | dict[str, Any] = "ClusterDetector",
+    frames: int = FRAMES,
+    attack: dict[str, Any] | None = None,
+    **points: Any,
+) -> Resolved:
+    finds = dict(type=detector) if isinstance(detector, str) else detector
+    options = dict(detector=finds, lidar="VLP-16", clutter=None) | points
+
+    def edit(content: dict[str, Any]) -> None:
+        content["points"] = options
+        if attack is not None:
+            content["adversaries"] = {SPOOFER: dict(type="Adversary", agent="ego", attack=attack)}
+            content["keyexpr"] = dict(map="testbed.toml", rewrites=["on_points.toml"])
+
+    return tiny(frames=frames, edit=edit)
 
 
 def scans(run: Run) -> list[Message]:
@@ -211,3 +227,51 @@ def test_strange_scans_are_detected_in_and_the_next_scan_is_as_before(honest: Ru
         bench.deliver("clock", clock(1))
         ((_, found),) = bench.deliver("agent/ego/points", scan)
         np.testing.assert_array_equal(found.body["position"], expected.body["position"], what)
+
+
+CHECKED = dict(
+    type="CheckedDetector",
+    detector=dict(type="ClusterDetector"),
+    checks=[dict(type="OcclusionCheck"), dict(type="ShadowCheck"), dict(type="TemporalCheck")],
+)
+
+
+def test_checks_judge_strange_scans_without_failing(honest: Run) -> None:
+    bench = Bench(resolved(detector=CHECKED), NODE)
+    for frame, (what, body) in enumerate(strange_scans(scans(honest)[1]).items()):
+        bench.deliver("clock", clock(frame))
+        header = scans(honest)[1].header._replace(frame=frame, time_ns=frame * PERIOD_NS, seq=frame)
+        try:
+            sent = bench.deliver("agent/ego/points", codec.conform(header, body))
+        except MessageError:
+            continue
+        assert len(sent) == 1, what
+        assert not bench.host.failures, what
+
+
+ATTACKS = [name for name, cls in registry.known_types(PointAttack).items() if cls.__module__.startswith("mast_zenoh.")]
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_a_spoofer_passes_strange_scans_on_and_bad_ones_cost_one_message_each(attack: str, honest: Run) -> None:
+    bench = Bench(resolved(attack=dict(type=attack, start_s=0.0, place=None)), SPOOFER)
+    scan, frame = scans(honest)[1], -1
+
+    def pose(frame: int) -> Message:
+        seen = honest.decoded("agent/ego/pose", "pose")[0]
+        return codec.conform(seen.header._replace(frame=frame, time_ns=frame * PERIOD_NS, seq=frame), seen.body)
+
+    for frame, (what, body) in enumerate(strange_scans(scan).items()):
+        bench.deliver("clock", clock(frame))
+        bench.deliver("agent/ego/pose", pose(frame))
+        header = scan.header._replace(frame=frame, time_ns=frame * PERIOD_NS, seq=frame)
+        try:
+            sent = bench.deliver(BEFORE, codec.conform(header, body))
+        except MessageError:
+            continue
+        assert [key for key, _ in sent].count("agent/ego/points") == 1, what
+        assert not bench.host.failures, what
+    for what, payload in bad_scans(scan).items():
+        bench.host.deliver(BEFORE, payload, frame, counted=False)
+        assert not bench.host.failures, what
+    assert sum(bench.host.rejected.values()) == len(bad_scans(scan))
