@@ -3,6 +3,7 @@
 import contextlib
 import os
 import re
+import sys
 import tarfile
 import tracemalloc
 from collections.abc import Callable
@@ -23,7 +24,7 @@ from hypothesis import strategies as st
 from layouts import TWINS
 from mast_datasets.point_files import read_bin, read_pcd
 
-from mast_zenoh.errors import SceneError
+from mast_zenoh.errors import ConfigurationError, SceneError
 from mast_zenoh.scenes.recorded_scans import MAX_POINTS
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.sensing import sensor_pose
@@ -291,6 +292,12 @@ def test_a_folder_or_a_pipe_is_no_file_of_points(read: Callable[[Path], Any], tm
     for name in ("folder", "pipe"):
         with pytest.raises(SceneError, match=f"{name}: cannot be read: not a regular file"):
             read(tmp_path / name)
+
+
+def test_without_the_package_the_message_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pypcd4.pypcd4", None)
+    with pytest.raises(ConfigurationError, match=r"a\.pcd: pypcd4.* is not installed, .*mast-zenoh-datasets\[pcd\]"):
+        read_pcd(tmp_path / "a.pcd")
 
 
 def test_a_file_that_is_too_large_is_refused_unread(tmp_path: Path) -> None:
