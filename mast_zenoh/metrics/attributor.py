@@ -358,8 +358,10 @@ class Attributor:
         cause[others[row >= 0]], by[others[row >= 0]] = UNKNOWN, False
         self._extend_causes(extended & ~local, cause, by)
         # A track of a real object becomes inaccurate while that object is hidden, moved or altered, if it is there.
-        free = (false & (cause < 0)).nonzero()[0]
-        free = free[self.last_evaluated[free]]
+        free = (false & (cause < 0) & self.last_evaluated).nonzero()[0]
+        at = find((self.last_id[free], tracks.frame[free]), (self.truth.boxes.id, self.truth_frame))
+        astray_m = np.linalg.norm(self.truth.boxes.position[at] - tracks.position[free], axis=1)
+        free = free[astray_m <= self.limits.astray_m]  # farther away, it is a track of something else
         since = tracks.period_start(false)[free]
         self._blame_hiding(self.last_id[free], tracks.frame[free], tracks.series[free], free, cause, by, since=since)
         return cause, by
