@@ -32,8 +32,28 @@ def points_and_ground(position: Singles, reach_m: float, slope: float) -> tuple[
     """
     reach = int(np.ceil(reach_m * 1000 / _CELL)) * _CELL
     points, lowest = lowest_by_cell(np.asarray(position, np.float32), reach, _DEPTH, _CELL)
-    steps = int(slope * _CELL), int(_UNSEEN_SLOPE * _CELL)
-    return points, ground_surface(lowest, _plane(lowest), *steps, _PIT), reach
+    plane, steps = _plane(lowest), (int(slope * _CELL), int(_UNSEEN_SLOPE * _CELL))
+    return points, ground_surface(_without_echoes(lowest, plane, slope), plane, *steps, _PIT), reach
+
+
+def _without_echoes(lowest: Millimetres, plane: Millimetres, slope: float) -> Millimetres:
+    """(g, g) mm, `lowest` without returns from below the road, which real scans have by way of glass and wet surfaces.
+
+    Those are lower than a slope up to there, or by more than `_PIT` than half of the cells around.
+    """
+    row, column = np.nonzero(lowest < plane - _PIT)
+    if not len(row):
+        return lowest
+    away = np.hypot(row - len(lowest) / 2.0, column - len(lowest) / 2.0) * _CELL
+    deep = (lowest - plane)[row, column] < -2.0 * _PIT - slope * away
+    cleaned = np.where(lowest == _NONE, _NONE, lowest - plane)
+    cleaned[row[deep], column[deep]] = _NONE
+    row, column = row[~deep], column[~deep]
+    padded = np.pad(cleaned, 2, constant_values=_NONE)
+    around = np.sort([padded[row + i, column + j] for i in range(5) for j in range(5)], axis=0)
+    half = around[(around < _NONE).sum(axis=0) // 2, np.arange(len(row))]
+    cleaned[row, column] = np.where(cleaned[row, column] < half - _PIT, half, cleaned[row, column])
+    return np.asarray(np.where(cleaned == _NONE, _NONE, cleaned + plane), np.int32)
 
 
 @kernel

@@ -111,6 +111,19 @@ def test_slope_is_ground(slope: float, model: str) -> None:
     assert nearest(found, 25.0, 2.0)[1] < 0.4
 
 
+@pytest.mark.parametrize("slope", [-0.05, 0.0, 0.05])
+def test_returns_from_below_the_road_are_none_of_it(slope: float) -> None:
+    """As real scans have them, by way of glass and wet surfaces: deep ones, and some beside each other."""
+    points = scanned(("car", 25.0, 2.0, 0.3), ("pedestrian", 9.0, -2.0, 0.0), slope=slope)
+    random = np.random.default_rng(2)
+    middles = np.array([(24.0, 0.0), (10.0, -3.0), (8.0, 4.0), (30.0, 9.0), (-12.0, 3.0), (40.0, 20.0)])
+    plan = np.repeat(middles, 8, axis=0) + random.uniform(-2.0, 2.0, (48, 2))
+    below = -1.8 + slope * plan[:, 0] - random.choice([0.4, 0.9, 2.5, 7.0], 48)
+    found = ClusterDetector().detect(Points.joined([points, Points.of(np.column_stack([plan, below]))]))
+    assert names(found) == ["car", "pedestrian"]
+    assert nearest(found, 25.0, 2.0)[1] < 0.4
+
+
 def test_lidar_on_a_pole_that_looks_down_works_in_its_own_frame() -> None:
     mount = rotation_from_yaw_pitch(0.0, np.radians(30.0))
     points = scanned(("car", 20.0, 3.0, 0.5), ("pedestrian", 14.0, -3.0, 0.0), height=12.0, mount=mount)
