@@ -133,7 +133,7 @@ def aims() -> None:
 
 
 def refused(count: int) -> None:
-    """Share of detections of phantoms that each check refuses, and of those of real cars."""
+    """Share of detections of phantoms that each check refuses, and of those of true cars."""
     names = ", ".join(cls.__name__ for cls in CHECKS)
     print(f"\nphantom | occlusion | lidar | detections, scans | refused %: {names}")
     for cls, occlusion, model in itertools.product(PHANTOMS, (True, False), MODELS):
@@ -148,7 +148,7 @@ def refused(count: int) -> None:
                 rows += [~kept[beside(found, attack.distance_m + 2.25, 0.0)]] if frame else []
         report = np.concatenate(rows)
         print(cls.__name__, occlusion, model, f"{len(report)}, {attacked}", percent(report), sep=" | ")
-    print("\nreal cars within 50 m | lidar | detections | refused %")
+    print("\ntrue cars within 50 m | lidar | detections | refused %")
     for model in MODELS:
         rows = []
         for seed in range(max(2, count // 4)):

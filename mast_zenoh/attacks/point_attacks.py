@@ -26,7 +26,7 @@ from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.sectors import BeamMemory, NoBeams, Sector
 from mast_zenoh.streams import stream
 
-#: m, of what a pulse travels there and back in a microsecond.
+#: m, to which a pulse travels and back in a microsecond.
 METRES_PER_US = 150.0
 
 
@@ -61,7 +61,8 @@ class PointAttack(ObjectsUnchanged, Attack):
     """Base class of attacks on points, with or without a spoofer.
 
     A scan is attacked with the probability P(aim) x P(timing) x P(width covers), drawn for each scan, and if the
-    spoofer has sight of the lidar. Scans whose points do not say their firing times, or lie nowhere, stay as they are.
+    spoofer has sight of the lidar. Empty scans, and those with points that are not finite, stay as they are. So do
+    those without firing times, except under attacks that replace whole scans.
 
     start_s: s of scene time at which it begins;  end_s: s of scene time at which it ends
     place:   where the spoofer is; None: behind the sensor, where the attack always works
@@ -125,7 +126,7 @@ class PointAttack(ObjectsUnchanged, Attack):
 
     @abstractmethod
     def _forged(self, scan: AttackedScan) -> Points:
-        """What the lidar delivers instead; NoBeams: nothing else."""
+        """What the lidar delivers instead; raises NoBeams: the scan stays as it is."""
 
 
 #: By lidar and asked width, deg: P(removal); mean and deviation of the width if it is removed, deg. From the share of
@@ -136,7 +137,7 @@ _ASKED_DEG = (0, 10, 20, 30, 40, 50, 60)
 _SHARE = {"AT128": (1.0, 1.0, 1.0, 0.79, 0.414, 0.821, 0.568), "XT32": (1.0, 1.0, 1.0, 1.0, 1.0, 0.94, 0.889)}
 _MEAN_DEG = {"AT128": (0, 15, 20, 20.9, 15.2, 11.3, 16.9), "XT32": (0, 9, 13, 13, 13, 13, 13)}
 _DEVIATION_DEG = {"AT128": (0, 0.4, 3.1, 2.7, 4.0, 4.85, 3.3), "XT32": (0, 0.8, 0.8, 0.8, 0.8, 0.8, 0.8)}
-#: Share of frames in which plain HFR works against a lidar with pulse fingerprints: 0.3 % at 5, 0.6 % at 15 MHz (same).
+#: Share of frames in which plain HFR works against pulse fingerprints: 0.3 % at 5, 0.6 % at 15 MHz (same source).
 _FINGERPRINTED = 0.0045
 
 
@@ -151,7 +152,7 @@ class HighFrequencyRemoval(PointAttack):
     Source: Sato et al., NDSS 2024 (HFR) and 2025 (A-HFR, whose pulses follow the lidar's window and fingerprint);
     measured widths: Keio-CSG/lidar-spoofing-artifacts@0d2c3de, docs/attack_check.json.
 
-    sector_deg:     deg, asked width around the spoofer;  lidar: whose measured widths count
+    sector_deg:     deg, asked width around the spoofer;  lidar: model whose measured widths count
     frequency_mhz:  MHz, of the pulses: 15 against an AT128, 24 against an XT32
     adaptive:       False: plain HFR
     fingerprinting: whether the victim tells its pulses from others: plain HFR then works in 0.45 % of scans

@@ -18,16 +18,16 @@ from mast_zenoh.attacks.spoofers import Following, Spoofer
 from mast_zenoh.sensing.beams import Beams
 from mast_zenoh.sensing.points import Points, Singles
 from mast_zenoh.sensing.scan import Moving, cast
-from mast_zenoh.sensing.sectors import Sector, chords, nearest, ordered
+from mast_zenoh.sensing.sectors import NO_GROUND_M, Sector, chords, nearest, ordered
 from mast_zenoh.sensing.shapes import Parts
 
 #: m, length, width and height of the usual phantom.
 CAR = (4.5, 1.8, 1.5)
-#: m, of a lidar above the ground, where a scan has none.
+#: m, height of a lidar, where a scan shows no ground.
 _USUAL_HEIGHT_M = 1.8
-#: m, up to which the ground below a lidar is looked for, and the bins of heights.
+#: m, range up to which points may be of the ground below a lidar, and the bins of their heights.
 _GROUND_M, _BIN_M = 25.0, 0.1
-#: m, within which a phantom that ignores depth lies behind its surface.
+#: m, depth over which the points of a phantom that ignores depth lie.
 _DEPTH_M = 1.5
 
 
@@ -113,7 +113,7 @@ class InjectedPoints(PointAttack):
         return sector.changed(which, np.maximum(range_m, 0.1))
 
     def _jittered(self, sector: Sector, scan: AttackedScan, range_m: Floats) -> Floats:
-        """Ranges (f, c) as meant for a beam nearby."""
+        """Ranges (f, c), each of the beam that a pulse with jitter was meant for."""
         if not self.jitter_deg or min(range_m.shape) < 2:
             return range_m
         jitter = np.radians(self.jitter_deg) * scan.random.standard_normal((2, *range_m.shape))
@@ -271,7 +271,7 @@ class ForgedMesh(PointAttack):
         still = np.zeros((1, 3)), np.zeros(1), np.zeros(1)
         parts = Parts.of(np.array([CLASS_INDEX["car"]]), np.array([self.size]))
         objects = Moving(middle[None], still[0], np.array([yaw]), still[2])
-        found = cast(beams, Moving(eye[None], *still), np.eye(3), objects, parts, ground_m=-1e9)
+        found = cast(beams, Moving(eye[None], *still), np.eye(3), objects, parts, NO_GROUND_M)
         met = found.source == 0
         made = (beams.directions()[met] * found.range_m[met][:, None] + eye) @ scan.lidar[1]
         return made.astype(np.float32), np.full(len(made), 0.5, np.float32)

@@ -16,7 +16,7 @@ from mast_zenoh.arrays.states import Floats
 from mast_zenoh.attacks.surroundings import Surroundings
 from mast_zenoh.sensing.points import Points
 
-#: rad; the beam of a scan nearest to a spoofer says whether it has sight, if it is within this angle.
+#: rad; the beam nearest to a spoofer tells whether it has sight, if it is within this angle.
 _NEAR_RAD = np.radians(1.2)
 
 
@@ -26,7 +26,7 @@ class Spoofer(ABC):
 
     P(aim), of one scan, is that of a pointing error with normal components below `spot_m`: `aim_deg` times the
     distance, and `lag_s` times the speed at which the lidar crosses the line of sight. With the defaults a standing
-    spoofer hits a standing lidar in 0.92 of scans at 50 m (SLAMSpoof: up to 50 m), and a passing car almost never, as
+    spoofer hits a standing lidar in 0.93 of scans at 50 m (SLAMSpoof: up to 50 m), and a passing car almost never, as
     in the published runs at 10 to 60 km/h (Keio-CSG/lidar-spoofing-artifacts, docs/attack_check.json: 2 of 6,392
     frames). The three numbers are fitted to these; nobody has published them.
 

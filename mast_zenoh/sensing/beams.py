@@ -61,8 +61,8 @@ class LidarModel:
     """A lidar as its data sheet describes it.
 
     elevation_deg: deg, of the channels, ascending;  offset_deg: deg, of their azimuths; (): none
-    azimuths: in a turn, or in the sector of `sector_deg` degrees;  range_m: shortest and longest
-    source: of these numbers
+    azimuths: their number, in a sector of `sector_deg` degrees;  range_m: m, shortest and longest
+    source: the data sheet
     """
 
     elevation_deg: tuple[float, ...]

@@ -19,9 +19,9 @@ from mast_zenoh.sensing.ground import Millimetres, points_and_ground
 from mast_zenoh.sensing.point_detector import PointDetector
 from mast_zenoh.sensing.points import Points
 
-#: mm: no road user is higher; points above are not looked at.
+#: mm: no road user is higher than the first; points above the second are overhead.
 _TALLEST, _OVERHEAD = 4200, 4500
-#: mm: what is not higher may be below a bridge, or a tree; what is longer is a wall or a hedge.
+#: mm: what has points overhead, as below a bridge or a tree, is not higher; what is longer is a wall or a hedge.
 _MAY_BE_BELOW, _LONGEST = 2600, 14_000
 #: Tangent of the angle between two channels of common lidars.
 _CHANNEL = 0.007
@@ -48,8 +48,8 @@ def clusters_above(
     y, z, and the height above the ground, mm. Steep: the greatest z by distance in plan, of points in cells or above.
 
     points: (n, 4) as of `lowest_by_cell`;  ground: (g, g) mm, z of the ground in its cells
-    body: mm, heights of points of objects: above, up to
-    limits: of an object, the least points; mm, the greatest height, that below points overhead, the length
+    body: mm, heights between which the points of objects are
+    limits: of an object: least points; mm, greatest height, the same below points overhead, greatest length
     """
     height, cell = points[:, 2] - ground.reshape(-1)[points[:, 3]], (points[:, :2] + reach_mm) // cell_mm
     inside = (height > body[0]) & (height <= body[1])
@@ -260,7 +260,7 @@ def completed(box: Rectangles, size: Floats) -> tuple[Rectangles, Floats]:
 
 
 def turned_left(box: Rectangles, which: Bools) -> Rectangles:
-    """The same rectangles: of some, the second axis is the first now."""
+    """The same rectangles; of those in `which` (c,), the axis to the left comes first."""
     turned = which[:, None]
     low = np.where(turned, np.stack([box.low[:, 1], -box.high[:, 0]], axis=1), box.low)
     high = np.where(turned, np.stack([box.high[:, 1], -box.low[:, 0]], axis=1), box.high)
@@ -275,10 +275,10 @@ class ClusterDetector(PointDetector):
 
     reach_m:     m, largest x and y of points that are used
     min_points:  least number of points of an object
-    clearance_m: m, lower than this above the ground points are part of it
+    clearance_m: m, height up to which points belong to the ground
     slope:       m a metre, how steep the ground may be against a plane
     cell_m:      m, side of the cells that are connected
-    growth_m:    m: each so far from the lidar, a gap of one more cell is bridged
+    growth_m:    m, distance from the lidar for each cell of gap that is bridged
     """
 
     reach_m: float = 100.0

@@ -25,9 +25,9 @@ _SIZES = {
 }
 _ROW = {name: row for row, name in enumerate((*KINDS, "kerb"))}
 _POST_M = 0.08
-#: How often a place is looked for, m to the farthest one from what moves, m around a point that show its direction.
+#: Attempts to find a place; m, from a way to the farthest place; m, around a point whose neighbours show the way.
 _TRIES, _BESIDE_M, _AROUND_M = 30, 8.0, 6.0
-#: m: points of what moves that are nearer than this to each other are one.
+#: m, side of cells whose points of what moves become one.
 _CELL_M = 0.5
 
 
@@ -53,7 +53,7 @@ class Clutter:
     hedges, kerbs, signs, poles: how many, 0 to 1000; fewer where there is no room
     gap_m: m, at least, to what moves and to buildings
 
-    Errors: ValueError for a number that is not as described.
+    Raises ValueError for a number that is not as described.
     """
 
     hedges: int = 12
@@ -104,7 +104,7 @@ class Clutter:
 
 
 def _sparse(occupied: Floats, radius: Floats) -> tuple[Floats, Floats]:
-    """One point for all of a cell, and a radius within which all that these take up is."""
+    """One point for all of a cell, and a radius around it that contains all that they take up."""
     cells, of = np.unique(np.floor(occupied / _CELL_M), axis=0, return_inverse=True)
     largest = np.zeros(len(cells))
     np.maximum.at(largest, of.reshape(-1), radius)
@@ -121,7 +121,7 @@ class _Site(NamedTuple):
     extent: Floats
 
     def find(self, size: Floats, random: np.random.Generator) -> tuple[Floats, float] | None:
-        """A free place (2,) m and yaw for a box; as many numbers are drawn for each try."""
+        """A free place (2,) m and yaw for a box; every attempt draws as many random numbers."""
         for _ in range(_TRIES):
             row = int(random.integers(len(self.ways)))
             aside, angle = random.uniform(-1.0, 1.0), random.uniform(0.0, np.pi)

@@ -14,20 +14,20 @@ from mast_zenoh.sensing.points import Singles
 #: Whole millimetres.
 Millimetres = NDArray[np.int32]
 
-#: mm: no point here; farthest from the height of the lidar; side of the cells in which the ground is even.
+#: mm: a cell without points; farthest from the height of the lidar; side of the cells, each of level ground.
 _NONE, _DEPTH, _CELL = 1 << 30, 50_000, 2000
-#: mm, lower than its neighbours by more, a point is none of the ground.
+#: mm: a point that is lower than its neighbours by more is not of the ground.
 _PIT = 100
 #: mm a mm, how fast the ground may rise over cells without points.
 _UNSEEN_SLOPE = 0.01
-#: Keeps a plane level where few points say otherwise: as many m² of points, unless steep.
+#: Keeps a plane level where points are few: m², added to the sums of the squares of their x and y.
 _STIFF = np.diag([0.0, 1e3, 1e3])
 
 
 def points_and_ground(position: Singles, reach_m: float, slope: float) -> tuple[Millimetres, Millimetres, int]:
-    """Points (m, 4) of a scan, x y z mm and cell, z of the ground (g, g) mm in cells, x first, and mm to their ends.
+    """Points (m, 4) of a scan, x y z mm and cell; the ground (g, g) mm, z by cell, x first; and mm to the grid's ends.
 
-    position: (n, 3) m, z up; those are left out that are farther than `reach_m` in x or y, or are not numbers
+    position: (n, 3) m, z up; left out are those that are farther than `reach_m` in x or y, or are not numbers
     slope:    m a metre, how steep the ground may be against a plane
     """
     reach = int(np.ceil(reach_m * 1000 / _CELL)) * _CELL
@@ -39,7 +39,8 @@ def points_and_ground(position: Singles, reach_m: float, slope: float) -> tuple[
 def _without_echoes(lowest: Millimetres, plane: Millimetres, slope: float) -> Millimetres:
     """(g, g) mm, `lowest` without returns from below the road, which real scans have by way of glass and wet surfaces.
 
-    Those are lower than a slope up to there, or by more than `_PIT` than half of the cells around.
+    Such a return is lower than the steepest ground could be (dropped), or lower than the median of the cells around by
+    more than `_PIT` (replaced by that).
     """
     row, column = np.nonzero(lowest < plane - _PIT)
     if not len(row):
@@ -102,7 +103,7 @@ def ground_surface(lowest: Millimetres, plane: Millimetres, step_mm: int, unseen
 
 
 def _plane(lowest: Millimetres) -> Millimetres:
-    """(g, g) mm, the plane through most of the lowest points near the lidar, which is above it."""
+    """(g, g) mm, the plane through most of the lowest points near the lidar, all below it."""
     middle = 2.0 * np.arange(len(lowest)) - (len(lowest) - 1.0)  # halves of cells: with mm, all sums are exact
     cells = np.flatnonzero(lowest < 0)
     if not len(cells):

@@ -19,7 +19,7 @@ from mast_zenoh.sensing.point_detector import PointDetector
 from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.sectors import chords
 
-#: Classes whose bodies let no light through between these shares of their height.
+#: Classes whose bodies let no light through, and the shares of their height between which that is certain.
 _SOLID = [CLASS_INDEX[name] for name in ("car", "truck", "bus")]
 _BODY = (0.30, 0.50)
 #: Share of the length and width of a box that a body certainly fills; m that it is smaller still, for errors of boxes.
@@ -56,7 +56,7 @@ class OcclusionCheck(PointCheck):
     detection of CARLO (Sun et al., USENIX Security 2020, section 6.1), whose attacks it reduces from 80 to 5.5 %. 1 for
     other classes, and for boxes that fewer than 5 beams meet.
 
-    least: 0 to 1, share below which a vehicle is refused; 0.8 refuses under 3 % of real cars
+    least: 0 to 1, share below which a vehicle is refused; 0.8 refuses under 3 % of true cars
            (docs/explanation-points.md)
     """
 
@@ -99,7 +99,7 @@ class ShadowCheck(PointCheck):
     (weights of Shadow-Catcher, Hau et al., ESORICS 2021, section 5.2). Plausibility is the share of the object's own
     points among these and its own. Theirs is over 94 % accurate.
 
-    least: 0 to 1, share below which an object is refused; 0.85 refuses under 3 % of real cars
+    least: 0 to 1, share below which an object is refused; 0.85 refuses under 1 % of true cars
            (docs/explanation-points.md)
     length_m: m, of the shadow that is looked at
     """
@@ -139,14 +139,14 @@ class ShadowCheck(PointCheck):
 
 
 class TemporalCheck(PointCheck):
-    """Refuses objects that appear where the scans before saw free space.
+    """Refuses vehicles that appear where the scan before saw free space.
 
-    A detection that continues an earlier one, moved on with its velocity, is as plausible as that. One without is
-    plausible unless beams of the scan before went through its place: nothing enters the middle of a free street within
-    a tenth of a second. It stays implausible for `forgive` scans. Source: 3D-TC2 (You et al., 2021), which predicts
-    detections from earlier ones: over 98 % of attacks, recall of real objects 91 %.
+    A detection that continues an earlier one, moved on with its velocity, is as plausible as that. A new one is
+    plausible unless beams of the scan before went through its body: no vehicle enters the middle of a free street
+    within a tenth of a second. It stays implausible for `forgive` scans. Source: 3D-TC2 (You et al., 2021), which
+    predicts detections from earlier ones: over 98 % of attacks, recall of real objects 91 %.
 
-    least:   0 to 1, a place that was more than 1 - least free is refused
+    least:   0 to 1; a new vehicle is refused if a share above 1 - least of the beams went through its body
     gate_m:  m, from the predicted position within which a detection continues an earlier one
     fastest_m: m, that an object without a known velocity may move from one scan to the next
     memory:  scans for which an object that is not detected is remembered
@@ -193,7 +193,7 @@ class TemporalCheck(PointCheck):
 class CheckedDetector(PointDetector):
     """A detector of points, without the detections that a check refuses.
 
-    detector: finds the objects;  checks: each is asked about all of them
+    detector: finds the objects;  checks: each judges all of them
     """
 
     def __init__(self, *, detector: PointDetector, checks: tuple[PointCheck, ...]) -> None:

@@ -34,7 +34,7 @@ class PointDetector(ABC):
 
 
 class NoDetections(PointDetector):
-    """Finds nothing; for tests, and to measure what all else costs."""
+    """Finds nothing; for tests, and to measure what everything else costs."""
 
     def detect(self, points: Points) -> Detections:
         return Detections.empty()
@@ -85,5 +85,5 @@ def detected_or_nothing(
 
 
 def nothing_detected(scan: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """As `detected`, of a detector that finds nothing."""
+    """The columns of a `detections` message without detections, for a scan as of `detected`."""
     return Detections.empty().columns() | {name: scan[name] for name in ("mount_position", "mount_rotation")}

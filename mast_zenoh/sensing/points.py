@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 
-#: float32 columns: what lidars deliver, and a quarter of the bytes of a scan.
+#: float32 columns: as exact as lidars are, in half the bytes of float64.
 Singles = NDArray[np.float32]
 
 
@@ -20,11 +20,11 @@ class Points:
 
     position:  (n, 3) float32, m, in the frame of the lidar at the time of the scan: its own motion is removed, that of
                the objects is not
-    intensity: (n,) float32, 0 to 1, of a surface that reflects all light towards the lidar
+    intensity: (n,) float32, 0 to 1; 1: a surface that reflects all light towards the lidar
     time_s:    (n,) float32, s, of each firing, from the time of the scan
     channel:   (n,) uint8, of the beam, from the lowest up
 
-    No two returns of a scan have the same firing and channel. Recorded points may not say them: all are zero then.
+    No two returns have the same `time_s` and `channel`, except in recorded scans without them: there all are 0.
     """
 
     position: Singles
@@ -37,7 +37,7 @@ class Points:
 
     @classmethod
     def of(cls, position: Floats | Singles) -> Points:
-        """Points (n, 3) m of which nothing else is known."""
+        """Points at positions (n, 3) m, of which nothing else is known."""
         n, none = len(position), np.zeros(len(position), np.float32)
         return cls(np.asarray(position, np.float32).reshape(n, 3), none, none, np.zeros(n, np.uint8))
 
@@ -48,7 +48,7 @@ class Points:
 
     @classmethod
     def joined(cls, parts: Sequence[Points]) -> Points:
-        """The points of several, in their order."""
+        """The points of several scans or parts of one, in their order."""
         parts = [cls.empty(), *parts]
         return cls(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(cls)))
 
@@ -66,7 +66,7 @@ class Points:
         return Points(*(getattr(self, each.name)[rows] for each in fields(self)))
 
     def turned(self, rotation: Floats) -> Points:
-        """The same points in axes from which `rotation` (3, 3), active, leads to others."""
+        """The same points in axes to which `rotation` (3, 3) turns from those that they are in."""
         return replace(self, position=self.position @ rotation.T.astype(np.float32))
 
     def range_m(self) -> Singles:

@@ -25,9 +25,9 @@ from mast_zenoh.sensing.scan import Moving, Scan, firing_axes, firings, place_of
 
 #: What returned a point that is no surface, beside `scan.GROUND` and `scan.WALL`.
 RAIN, DUST = -4, -5
-#: Share of light of 900 nm that surfaces reflect, by class (`states.CLASSES`). Of road users an assumed mean, as paint
-#: and clothes have 5 % to 85 %; "unknown", which stands for vegetation too, between trees (30 to 60 %) and concrete
-#: (24 %), both in Wehr and Lohr 1999, table 1.
+#: Share of light of 900 nm that surfaces reflect, by class (`states.CLASSES`). Road users: assumed means, as paint and
+#: clothes have 5 % to 85 %. "unknown", which may be vegetation: between concrete (24 %) and trees (30 to 60 %), both in
+#: Wehr and Lohr 1999, table 1.
 REFLECTIVITY: Floats = np.array([0.3, 0.3, 0.4, 0.4, 0.25, 0.3, 0.35])
 
 #: A draw is 64 bits: a row of the table of noise, one of that of power, a place, and a power.
@@ -35,12 +35,13 @@ _BITS, _PLACE_BITS = 12, 20
 _LEVELS, _PLACES = 1 << _BITS, 1 << _PLACE_BITS
 #: m, between two echoes that a pulse of 5 ns tells apart, and the depth of dust that it lights at a time.
 _PULSE_M = 0.75
-#: m, from where on the receiver sees all of a beam: less of nearer echoes, by the square (assumed).
+#: m, range from which the receiver sees all of a beam; of nearer echoes less, by the square (assumed).
 _OVERLAP_M = 3.0
 #: Of water: the light that goes straight back from a drop's surface, refractive index 1.328 (Kilic et al. 2021).
 _WATER = (0.328 / 2.328) ** 2
 #: sr, extinction by backscatter of mineral dust: Tesche et al. 2009, Tellus B 61.
 _DUST_SR = 55.0
+#: Reflectivity for which data sheets state the range.
 _DARK = 0.1
 
 
@@ -121,10 +122,10 @@ def measured_points(
 
 
 class _Particles(NamedTuple):
-    """Where the first particle on a beam is that returns enough light, if there is one.
+    """The first particle on a beam that returns enough light, by draw.
 
-    range_m: (k,) m, by draw of 20 bits; larger draws have none
-    scale:   (k,) of what it has above the limit, an exponential number: of the power, of a drop of its root
+    range_m: (k,) m, by draw of 20 bits; draws from k on have no particle
+    scale:   (k,) mean of the exponential excess above the limit: of the power (dust), of its root (rain)
     """
 
     range_m: Singles
@@ -145,10 +146,10 @@ class Returns:
     returns:          which of two is reported: the strongest or the last. There are two where rain or dust is before a
                       surface and, for "last", where the footprint of a beam reaches over an edge to the next azimuth
     divergence_rad:   rad, full angle of a beam; 3 mrad of the VLP-16 (Velodyne 63-9243)
-    rain_mm_h:        mm/h, of rain: drops by Marshall and Palmer 1948, twice their area is extinct
+    rain_mm_h:        mm/h, of rain: drops by Marshall and Palmer 1948, extinction by twice their cross-section
     visibility_m:     m, in dust, by Koschmieder; 0: no dust. Rain and dust exclude each other
 
-    Errors: ValueError for a number that is not as described.
+    Raises ValueError for a number that is not as described.
     """
 
     range_std_m: float = 0.02
@@ -229,7 +230,7 @@ class Returns:
         return np.where(lost, np.inf, np.exp(self.fading * _normal())).astype(np.float32)
 
     def _behind_edges(self, echoes: Echoes, draws: NDArray[np.uint64], beams: Beams) -> Echoes:
-        """Where an edge, which may be anywhere up to the next azimuth, is inside the footprint: what is behind it."""
+        """The echoes, with those from behind edges inside footprints; an edge is anywhere between two azimuths."""
         least = self._least[_fade(draws)]
         share = np.float32(0.5) - _uniform(_place(draws)) * np.float32(beams.step / self.divergence_rad)
         last = echoes
@@ -244,7 +245,7 @@ class Returns:
         return last
 
     def _particles(self, min_range_m: float) -> _Particles:
-        """Those of the rain or dust."""
+        """The particles of rain or dust, by draw, for beams that return from `min_range_m` on."""
         if min_range_m in self._known:
             return self._known[min_range_m]
         edges = np.linspace(min_range_m, min_range_m + 60.0, 6001)
@@ -285,7 +286,7 @@ class Returns:
         return result
 
 
-#: 1/m^3/mm, of raindrops by diameter: Marshall and Palmer 1948.
+#: 1/m^3/mm, number of raindrops by diameter, towards 0 mm: Marshall and Palmer 1948.
 _DROPS = 8000.0
 
 

@@ -63,7 +63,7 @@ def cast(
     """The scan of a lidar.
 
     lidar:    its pose and motion;  mount: (3, 3) active, the rest of its rotation: lidar to its yaw
-    objects:  those of the boxes' middles;  parts: their shapes
+    objects:  poses and motions of their boxes' middles;  parts: their shapes
     ground_m: m, z of the ground, world frame, where the lidar is
     own:      row of the object that carries the lidar, which its beams do not meet; -1: none
     """
@@ -86,9 +86,9 @@ def cast(
 
 @cache
 def _keep_freed_memory() -> None:
-    """Let glibc keep what scans free for the next ones: page faults take longer than scans do.
+    """Make glibc keep freed memory for the next scans: page faults take longer than scans do.
 
-    Freeing a block raises the size up to which it asks the system for none of its own (mallopt(3), M_MMAP_THRESHOLD).
+    Freeing a large block raises the size from which glibc maps and unmaps each block (mallopt(3), M_MMAP_THRESHOLD).
     """
     np.empty(1 << 24, np.uint8)
 
@@ -149,7 +149,7 @@ def nearest_surfaces(
     """The arrays of a `Scan`.
 
     columns:  (3, m) time s, cosine and sine of each azimuth
-    channels: (3, c) of each channel in the plane of its azimuth: along it, to the left of it, up
+    channels: (3, c) components of each channel's direction: along the azimuth, to the left of it, up
     heading:  (n, 2) cosine and sine of the objects' yaw
     windows, wall_windows: (k, 5) row of an object or wall, azimuths from and to, channels from and to: may be met
     """
@@ -212,7 +212,7 @@ def _rotations(turned: tuple[Floats, Floats], mount: Floats) -> Floats:
 
 
 def _into(turned: tuple[Floats, Floats], vectors: Floats) -> Floats:
-    """Vectors (m, 3) of the world in axes that are turned."""
+    """Vectors (m, 3) of the world, in turned axes."""
     cosine, sine = turned
     x, y, z = vectors.T
     return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)
@@ -258,7 +258,7 @@ _MARGIN_M, _MARGIN_RAD = 1e-6, 1e-6
 
 
 def _object_windows(beams: Beams, lidar: Moving, mount: Floats, objects: Moving, parts: Parts, own: int) -> Ints:
-    """The windows of objects. They hold for a box that is larger by all that it may move, seen from the lidar."""
+    """The windows of objects, whose boxes are enlarged by all that they may move relative to the lidar."""
     half, low, high = _extent(parts)
     rows = np.flatnonzero(np.arange(len(half)) != own)
     half, low, high = half[rows], low[rows], high[rows]
@@ -305,7 +305,7 @@ def _extent(parts: Parts) -> tuple[Floats, Floats, Floats]:
 
 
 def _windows(beams: Beams, lidar: Moving, mount: Floats, rows: Ints, corners: Floats, nearest: Floats) -> Ints:
-    """(k, 5) row, azimuths from and to, channels from and to, of what is within `corners`; two for one astride the end.
+    """(k, 5) row, azimuths from and to, channels from and to, of what is within `corners`; two across the last azimuth.
 
     corners: (n, 8, 3) m from the lidar, in the axes of the world;  nearest: (n,) m
     """

@@ -20,11 +20,11 @@ from mast_zenoh.sensing.scan import Moving, Place, firings, nearest_surfaces
 from mast_zenoh.sensing.shapes import Parts
 
 #: m, far below any ground that a beam reaches: a phantom is cast without the ground.
-_NO_GROUND_M = -1e9
+NO_GROUND_M = -1e9
 
 
 class NoBeams(Exception):
-    """No beam of a scan is where one is looked for, or its points do not say their times."""
+    """No beam of a scan is where one is expected, or its points have no firing times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class Calibration:
 
     @classmethod
     def of(cls, fired: Floats, points: Points) -> Calibration:
-        """From a scan, not empty, as its beams were fired (n, 3) m; raises NoBeams without their times."""
+        """From a scan that is not empty; raises NoBeams without firing times. fired: (n, 3) m, as of `as_fired`"""
         time = points.time_s.astype(np.float64)
         one = points.channel == np.bincount(points.channel).argmax()
         if time[one].min() == time[one].max():
@@ -154,7 +154,7 @@ class Sector:
         beams = self.calibration.elevation, self.calibration.offset, np.zeros(f), 0.0, longest_m
         range_m, _, _ = nearest_surfaces(
             *firings(Beams(self.azimuth, *beams)),
-            Place(zero, zero, np.array([1.0, 0.0]), 0.0, np.ascontiguousarray(self.motion.rotation), _NO_GROUND_M),
+            Place(zero, zero, np.array([1.0, 0.0]), 0.0, np.ascontiguousarray(self.motion.rotation), NO_GROUND_M),
             Moving(middle[None], zero[None], np.array([yaw]), np.zeros(1)),
             np.array([[np.cos(yaw), np.sin(yaw)]]),
             parts,
@@ -216,7 +216,7 @@ class BeamMemory:
 
     def near(self, points: Points, azimuth: float, half_rad: float) -> Sector:
         """The firings of the scan at the last pose within `half_rad` of an azimuth, both rad; may raise NoBeams."""
-        if self._calibration is None or self._poses <= 2:
+        if self._calibration is None or self._poses <= 2:  # the motion is known from the second pose on
             fired = self._motion.as_fired(points.position, points.time_s)
             self._calibration = Calibration.of(fired, points)
         return Sector.near(points, self._motion, self._calibration, azimuth, half_rad)
