@@ -1,4 +1,4 @@
-"""Scans of real lidars, as a data set recorded them: columns of a recording, beside its truth."""
+"""Scans that a data set recorded with real lidars: columns of a recording, beside its truth."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ class RecordedScans:
         """
         parts = [Points.empty()] * (frames * agents)
         total = 0
-        for row, of_agent in scans.items():
+        for number, (row, of_agent) in enumerate(scans.items(), 1):
             for frame, points in zip(range(frames), of_agent, strict=True):
                 parts[frame * agents + row] = points
                 total += len(points)
                 if total > MAX_ALL_POINTS:
                     raise SceneError(
-                        f"{place}: found more than {MAX_ALL_POINTS} points in {frame + 1} of {frames} frames, expected "
-                        "at most as many: choose fewer frames"
+                        f"{place}: found more than {MAX_ALL_POINTS} points up to frame {frame + 1} of {frames} of "
+                        f"lidar {number} of {len(scans)}, expected at most as many: choose fewer frames"
                     )
         start = np.cumsum([0, *map(len, parts)], dtype=np.int64)
         return cls(np.isin(np.arange(agents), list(scans)), start, Points.joined(parts))

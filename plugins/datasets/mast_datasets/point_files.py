@@ -1,4 +1,4 @@
-"""Reads the points of lidars: of files, and columns that formats share."""
+"""Reads the points of lidars from BIN and PCD files, and from columns of any format."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _BIN = np.dtype("<f4")
 _BIN_COLUMNS = 4  # x, y, z, intensity
 #: Limits on a PCD file and its header, bytes.
 _MAX_PCD_BYTES, _MAX_HEADER = 200 * MAX_POINTS, 10_000
-_MAX_RATIO = 100  # of what is promised to what is there; LZF reaches 88, and a number in text has two characters
+_MAX_RATIO = 100  # of bytes by the header to bytes in the file; LZF reaches 88, and a number in text has two characters
 #: Names that drivers give to intensities, times and channels.
 _NAMES = (("intensity", "i", "reflectivity"), ("t", "time", "time_stamp"), ("ring", "channel", "line"))
-_MAX_TIME_S = 1.0  # from the time of the scan; others are no times of firings
+_MAX_TIME_S = 1.0  # from the time of the scan; larger ones are no firing times
 
 
 def read_bin(path: Path) -> Points:
-    """The points of a file of KITTI: x, y, z, m, and intensity, 0 to 1, float32 each. What else is known of none is 0.
+    """The points of a KITTI file: x, y, z, m, and intensity, 0 to 1, float32 each. It has no times and channels: all 0.
 
     Raises SceneError for a file that is missing, cut off or too large, and for numbers that cannot be.
     """
@@ -55,11 +55,11 @@ def read_bin(path: Path) -> Points:
 def read_pcd(path: Path) -> Points:
     """The points of a PCD file (Point Cloud Library) as text, binary or compressed, with fields x, y and z.
 
-    Also read are times, channels and intensities, from 0 to 255 if some are above 1, or the red of `rgb` for them, as
-    Open3D writes them.
+    Times, channels and intensities are read, too. Intensities are of 255 if some are above 1; without a column of them,
+    the red of `rgb` is taken, as Open3D writes it.
 
-    Raises SceneError for a file that is missing, cut off or too large, whose header promises something else than is
-    there, and for numbers that cannot be; ConfigurationError if pypcd4 is not installed.
+    Raises SceneError for a file that is missing, cut off or too large, for a header that its data contradict, and for
+    numbers that cannot be; ConfigurationError if pypcd4 is not installed.
     """
     try:
         from pypcd4.pypcd4 import Encoding, MetaData, PointCloud  # takes 0.1 s, and few need it
@@ -102,9 +102,11 @@ def read_pcd(path: Path) -> Points:
 def points_of_columns(values: Mapping[str, NDArray[Any]], place: object, most_intensity: float) -> Points:
     """The points of columns (n,) by name, without those at 0, 0, 0 and those that are no numbers, which are no returns.
 
-    place: of them, for messages;  most_intensity: becomes 1, like all above
+    place: of them, for messages;  most_intensity: becomes 1, as do all above
 
-    Times and channels are kept together, or neither. Raises SceneError for numbers that cannot be.
+    Times are s if floating point, else ns. Times and channels are kept together, or neither.
+
+    Raises SceneError for numbers that cannot be.
     """
     for axis in "xyz":
         if axis not in values or values[axis].dtype.kind != "f":
@@ -141,7 +143,7 @@ def checked(points: Points, place: object) -> Points:
 
 @dataclass(kw_only=True, eq=False)
 class PointFiles:
-    """Of a scene whose lidars' points are files, one for each agent and frame.
+    """Base class of scenes with files of points, one for each agent and frame.
 
     recorded_points: whether the points that lidars recorded are read: a scenario with `points` detects objects in them
     """
