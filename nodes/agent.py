@@ -130,9 +130,7 @@ class Agent(Node):
         if late_frames < 0:
             raise ValueError(f"late_frames: found {late_frames}, expected 0 or more")
         if detector is not None and len(sensors) > 1:
-            raise ValueError(
-                f"detector: found {len(sensors)} sensors, expected one, whose points it detects objects in"
-            )
+            raise ValueError(f"detector: found {len(sensors)} sensors, expected one: the lidar that returns its points")
         self.pipeline = pipeline
         self.detector = detector
         self.sensors = sensors
@@ -154,14 +152,14 @@ class Agent(Node):
         self.tracks_ns = 0
         self.newest_ns = 0  # time of the last frame
         self.now_ns = -1  # time of the newest frame
-        #: greatest times until each of the frames before it: a measurement that is new is after the first of them
+        #: greatest times up to each frame before it: a new measurement was made after the first of them
         self.past_ns = deque([-1] * (late_frames + 1), maxlen=late_frames + 1)
         self.poses: deque[tuple[int, Pose]] = deque(maxlen=late_frames + 1)  # of the latest frames, with their times
 
     def start(self, context: Context) -> None:
-        """Wait for the sensor's sweep in each frame, if there is one, or if it is measured in points for a view."""
-        told = any(source.port == "sweep" for source in context.subscriptions.values())
-        if told or (self.detector is not None and context.connected("view")):
+        """Wait for a sweep in each frame, if the sensor sends one, or the agent measures it in points for its view."""
+        is_sent = any(source.port == "sweep" for source in context.subscriptions.values())
+        if is_sent or (self.detector is not None and context.connected("view")):
             self.sensed.expected.add("sweep")
 
     def on_clock(self, received: Received, context: Context) -> None:

@@ -1,4 +1,4 @@
-"""A detector: what is among the points of a lidar. A process between the sensor and its agent.
+"""A detector: finds objects in the points of a lidar, as a process between the sensor and its agent.
 
 It gets the points alone, of simulated and of recorded lidars alike, and never the truth.
 """
@@ -16,13 +16,13 @@ from mast_zenoh.sensing.point_detector import PointDetector, detected_or_nothing
 
 
 class DetectorNode(Node):
-    """Detects objects in the scans of an agent's lidar, and tells how far each direction is free in them.
+    """Detects objects in the scans of an agent's lidar, and measures how far each direction is free in them.
 
     detector:    the algorithm
     agent:       whose lidar it is
     lidar:       that lidar
-    late_frames: frames after which it publishes what it has found, with the time of the scan: how late a slow detector
-                 is. In lock-step nothing else makes it late; in real time, its own time comes on top.
+    late_frames: frames after which it publishes detections, with the time of their scan, as a slow detector does. In
+                 lock-step nothing else makes it late; in real time, its own time comes on top.
     """
 
     role = "detector"
@@ -34,7 +34,7 @@ class DetectorNode(Node):
             raise ValueError(f"late_frames: found {late_frames}, expected 0 or more")
         self.detector, self.agent, self.lidar, self.late_frames = detector, agent, lidar, late_frames
         self.affects = {"points": {"detections": late_frames, "sweep": 0}}  # type: ignore[misc]  # depends on how it is configured
-        self.found: deque[tuple[int, dict[str, Any]]] = deque()  # that wait: time of the scan, columns
+        self.waiting: deque[tuple[int, dict[str, Any]]] = deque()  # detections: time of the scan, columns
         self.counts = {"scans": 0, "points": 0, "detections": 0}
         self.oldest_ns = 0
 
@@ -44,7 +44,7 @@ class DetectorNode(Node):
     def on_points(self, received: Received, context: Context) -> None:
         """Detect objects in a scan, and publish those of the scan that is due; free space is never late.
 
-        Where the detector fails, which fails the run, there are none.
+        A detector that fails, which fails the run, detects nothing.
         """
         if context.connected("sweep"):
             free = swept(received.body, self.lidar)
@@ -53,16 +53,16 @@ class DetectorNode(Node):
         self.counts["scans"] += 1
         self.counts["points"] += len(received.body["position"])
         self.counts["detections"] += len(columns["yaw"])
-        self.found.append((received.time_ns, columns))
-        if len(self.found) > self.late_frames:
-            time_ns, columns = self.found.popleft()
-        else:  # of the first scan, nothing is known yet
-            time_ns, columns = self.found[0][0], nothing_detected(received.body)
+        self.waiting.append((received.time_ns, columns))
+        if len(self.waiting) > self.late_frames:
+            time_ns, columns = self.waiting.popleft()
+        else:  # those of the first scan are not due yet
+            time_ns, columns = self.waiting[0][0], nothing_detected(received.body)
         self.oldest_ns = max(self.oldest_ns, context.now_ns + context.elapsed_ns - time_ns)
         context.publish("detections", columns, frame=received.frame, time_ns=time_ns)
 
     def finish(self, context: Context) -> dict[str, Any]:
-        """Numbers of scans, points and detections; s, the age of the oldest detections when they were sent.
+        """Numbers of scans, points and detections; s, the greatest age of detections when they were sent.
 
         In real time this includes the time that the detector takes.
         """

@@ -21,7 +21,7 @@ class Simulator(Source):
     """Replays a scene.
 
     recording: the prepared scene (its own file); frames: number of frames to play, None for all
-    points:    how the agents' first sensors are scanned; None: they detect as the prepared scene says
+    points:    how the agents' first sensors scan; None: they detect as the prepared scene says
     """
 
     role = "simulator"
@@ -40,12 +40,12 @@ class Simulator(Source):
         self.rotations.setflags(write=False)
 
     def start(self, context: Context) -> None:
-        """Place what stands beside the roads, if lidars are scanned."""
+        """Place what stands beside the roads, if lidars scan it."""
         if self.points is not None:
             self.scanner = Scanner(self.recording, self.points, context.seed, context.connected("sweep"))
 
     def advance(self, context: Context) -> bool:
-        """Publish the next frame: clock, truth, and each agent's pose, detections and sweep."""
+        """Publish the next frame: clock, truth, and each agent's pose and sensor data."""
         frame = self.next_frame
         if frame >= self.frames:
             return False

@@ -94,7 +94,7 @@ class WorldSimulator(Source):
             context.reject(reason)
 
     def advance(self, context: Context) -> bool:
-        """Step to the next frame and publish it: clock, routes, truth, and each agent's pose, detections and sweep."""
+        """Step to the next frame and publish it: clock, routes, truth, and each agent's pose and sensor data."""
         frame = self.next_frame
         if frame >= self.frames:
             return False

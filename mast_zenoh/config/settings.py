@@ -18,7 +18,7 @@ KEYS = {
     "name": "name of the scenario; by default the file's",
     "scene": "a short name, such as intersection:3 or av2:PATH, or dict(type=…)",
     "agents": "name or pattern to configuration of an agent; a full name, else the longest pattern counts",
-    "points": "how lidars are scanned, and what detects objects in their points; None: detections are modelled",
+    "points": "how lidars scan, and what detects objects in their points; None: detections are modelled",
     "broker": "configuration of the broker, None: no broker",
     "command_center": "configuration of the command centre, None: no centre; also written commandcenter",
     "centers": "name to configuration of a regional centre",

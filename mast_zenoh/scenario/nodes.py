@@ -67,7 +67,7 @@ def nodes_of(
         specs[name] = node_spec(path, name, role, config)
 
     of_scene = driving.simulator_config(path, scenario, recording, frames, scene)
-    add("simulator", "simulator", {**of_scene, **points.of_simulator(lidars)})
+    add("simulator", "simulator", {**of_scene, **points.simulator_config(lidars)})
     patterns = scenario.get("agents", {"*": {}})
     for row, agent in enumerate(recording.agents):
         pattern = best_pattern(patterns, agent.name)
@@ -75,9 +75,9 @@ def nodes_of(
             raise ConfigurationError(f"{path}: agents: no entry for {agent.name!r}{nearest(agent.name, patterns)}")
         if not isinstance(config := patterns[pattern], Mapping):
             raise ConfigurationError(f"{path}: agents: {agent.name}: found {config!r}, expected a dict")
-        add(agent.name, "agent", {**_scene_parameters(recording, row), **points.of_agent(lidars), **config})
+        add(agent.name, "agent", {**_scene_parameters(recording, row), **points.agent_config(lidars), **config})
     for agent in recording.agents:
-        if detector := points.of_detector(lidars, agent.name):
+        if detector := points.detector_config(lidars, agent.name):
             add(f"detector_{agent.name}", "detector", {"lidar": _limits(agent.sensor), **detector})
     for role in ("broker", "command_center"):
         if scenario.get(role, {}) is not None:

@@ -1,4 +1,4 @@
-"""The points of a scenario's lidars: how they are scanned, and where objects are detected in them."""
+"""The part `points` of a scenario: how its lidars scan, and where objects are detected in their points."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from mast_zenoh.scenes.recording import Recording
 MAP = "points.toml"
 #: Where objects are detected in points: by a node between sensor and agent, by the agent, or where they are made.
 PLACES = ("detector", "agent", "simulator")
-#: Rows by which a detector of points may find more than the model of detections did, in a frame.
+#: How many detections of a frame a detector of points may have beyond those of the detection model.
 MORE_DETECTIONS = 64
-#: Keys of the part: those of the scans; of the others, what each is by default, and what it means.
+#: Keys of the part: those of `ScannedPoints`; the others with their defaults, and with their meanings.
 SCANS = ("lidar", "returns", "clutter", "moving")
 OTHERS: dict[str, Any] = {
     "detector": {"type": "ClusterDetector"},
@@ -39,7 +39,7 @@ KEYS = {
 def described(path: Path, scenario: Mapping[str, Any]) -> dict[str, Any]:
     """The `points` of a scenario with its defaults; empty: none, detections are modelled.
 
-    Raises ConfigurationError for an unknown key, and a place where nothing can be detected.
+    Raises ConfigurationError for an unknown key, and for a value that its key cannot have.
     """
     options = scenario.get("points")
     if options is None:
@@ -66,8 +66,8 @@ def described(path: Path, scenario: Mapping[str, Any]) -> dict[str, Any]:
     return complete
 
 
-def of_simulator(options: Mapping[str, Any]) -> dict[str, Any]:
-    """What the simulator is told: how to scan and, if it detects objects itself, how. options: as `described`"""
+def simulator_config(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The simulator's parameters: how to scan and, if it detects objects itself, how. options: as `described`"""
     if not options:
         return {}
     detector = {"detector": options["detector"]} if options["detected_by"] == "simulator" else {}
@@ -76,26 +76,26 @@ def of_simulator(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def equipped(path: Path, options: Mapping[str, Any], recording: Recording) -> Recording:
-    """The recording with the lidars of the points; as it is without them. options: as `described`"""
+    """The recording with the lidars that scan; unchanged if none does. options: as `described`"""
     if not options:
         return recording
-    scans: ScannedPoints = registry.build(of_simulator(options)["points"], ScannedPoints, f"{path}: points")
+    scans: ScannedPoints = registry.build(simulator_config(options)["points"], ScannedPoints, f"{path}: points")
     try:
         return scans.equipped(recording)
     except ConfigurationError as error:
         raise ConfigurationError(f"{path}: points: {error}") from None
 
 
-def of_agent(options: Mapping[str, Any]) -> dict[str, Any]:
-    """What an agent is told: its detector, or how late the detections of a node may be."""
+def agent_config(options: Mapping[str, Any]) -> dict[str, Any]:
+    """An agent's parameters: its detector, or how late the detections of a node may be."""
     if not options:
         return {}
     late = {"late_frames": options["late_frames"]} if options["late_frames"] else {}
     return late | ({"detector": options["detector"]} if options["detected_by"] == "agent" else {})
 
 
-def of_detector(options: Mapping[str, Any], agent: str) -> dict[str, Any]:
-    """The configuration of the node that detects objects for an agent; empty: none does."""
+def detector_config(options: Mapping[str, Any], agent: str) -> dict[str, Any]:
+    """The configuration of the node that detects objects for an agent; empty: there is none."""
     if not options or options["detected_by"] != "detector":
         return {}
     late = {"late_frames": options["late_frames"]} if options["late_frames"] else {}

@@ -43,7 +43,7 @@ and of the simulator all but `take_over_s`, `hold_s`, `braking` and `limits` (se
 
 
 _POINTS = """\
-How the lidars of all agents are scanned, and what finds objects in their points: see
+How the lidars of all agents scan, and what finds objects in their points: see
 [explanation-points.md](explanation-points.md) and [tutorial-own-detector.md](tutorial-own-detector.md)."""
 
 

@@ -1,6 +1,6 @@
-"""Scans a scene's lidars, frame by frame: their points, and how many of these each object returned.
+"""Scans a scene with its lidars, frame by frame: their points, and how many of these each object returned.
 
-Where a data set recorded the points of a lidar, they are taken from there: nothing that receives them can tell.
+Where a data set recorded the points of a lidar, they are taken from there; receivers cannot tell the difference.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ from mast_zenoh.sensing.scan import Moving, cast
 from mast_zenoh.sensing.shapes import Parts
 from mast_zenoh.streams import stream
 
-#: m, taken up by the pole of an agent.
+#: m, radius around an agent that clutter stays out of, as around its pole.
 _POLE_M = 0.5
-#: m, within which objects tell the height of the ground at a lidar; and around all of them, where clutter may be.
+#: m: objects this near to a lidar stand on its ground; clutter is at most this far from all that moves.
 _NEAR_M = 50.0
 
 
 @dataclass(kw_only=True, eq=False)
 class ScannedPoints:
-    """How the lidars of a scene are scanned.
+    """How the lidars of a scene scan it.
 
     lidar:   a model, see `mast list scenes`, or models by agent or pattern ("infra_*"); None: the agents' own, or
              the points that the scene's data recorded
@@ -102,10 +102,10 @@ class ScannedPoints:
 
 
 class Scanner:
-    """Scans the lidars of all agents.
+    """Scans a scene with the lidars of all agents.
 
     recording: the scene as it is prepared: its agents, their lidars, buildings, and where objects move
-    points:    how its lidars are scanned;  seed: of the run
+    points:    how its lidars scan;  seed: of the run
     swept:     whether free space is published, too, where objects are detected here
     """
 
@@ -129,7 +129,7 @@ class Scanner:
         return Beams.of_sensor(agent.sensor, period_s) if model is None else MODELS[model].beams(period_s)
 
     def _recorded_scan(self, frame: int, row: int) -> Points | None:
-        """What the data has of an agent's lidar in a frame; None: it is simulated."""
+        """The recorded scan of an agent's lidar in a frame; None: that lidar is simulated."""
         scans, is_other = self._recorded, self._points.model_of(self._agents[row].name) is not None
         return None if scans is None or is_other or not scans.recorded[row] else scans.at(frame, row)
 
@@ -213,7 +213,7 @@ class Scanner:
 
 
 def _object_of(points: Floats, truth: ObjectStates) -> Ints:
-    """(n,) the row of the object whose box each point (n, 3) m is in, the last one of several; -1: none. World frame"""
+    """(n,) row of the object whose box a point (n, 3) m is in, the last of several; -1: none. All in the world frame"""
     rows = np.full(len(points), -1)
     for row in range(len(truth)):
         offset = np.abs(to_local(points, truth.position[row], rotation_from_yaw(float(truth.yaw[row]))))
@@ -222,7 +222,7 @@ def _object_of(points: Floats, truth: ObjectStates) -> Ints:
 
 
 def _ground_m(truth: ObjectStates, at: Floats | None = None) -> float:
-    """m, z of the ground, on which objects stand; without any, 0. at: (3,) m, only of those near this place"""
+    """m, z of the ground on which objects stand; 0: no objects. at: (3,) m, counts only those near this place"""
     bottom = truth.position[:, 2] - truth.size[:, 2] / 2.0
     if at is not None:
         bottom = bottom[np.linalg.norm(truth.position[:, :2] - at[:2], axis=1) < _NEAR_M]
