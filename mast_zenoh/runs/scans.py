@@ -1,4 +1,4 @@
-"""The recorded scans of the agents' lidars, as the detector received them: after whatever intercepts their wire."""
+"""The recorded scans of the agents' lidars, as detectors received them: after all interposers on their wire."""
 
 from __future__ import annotations
 

@@ -14,9 +14,9 @@ from mast_zenoh.sensing.sensors import sensor_pose
 
 
 def spoofers(run: Run, frames: Ints) -> dict[str, Floats]:
-    """(n, 3) m, world frame, the place of each adversary's spoofer in n frames, whether it attacks then or not.
+    """By adversary, (n, 3) m, world frame: where its spoofer is in n frames, whether it attacks then or not.
 
-    By adversary: those of one agent whose attack has a place, and a class that is loaded.
+    Without adversaries of several agents, and attacks that have no place or whose class is not loaded.
     """
     scene, places = run.files.scene, dict[str, Floats]()
     if scene is None:

@@ -13,11 +13,11 @@ from mast_zenoh.sensing.points import Points
 
 #: The type of messages with scans.
 POINTS = "points"
-#: m; a return that a beam has nearer than this to the one before is the same: noise of the lidar, not another object.
+#: m: a beam whose returns before and after the interposer are nearer than this still meets the same object.
 SAME_RETURN_M = 0.3
-#: m; size of the cells of which connected ones are an object.
+#: m, side of cells; connected ones are an object.
 CELL_M = 0.8
-#: Points of an object at least, and m, its height: fewer or flatter ones make no detection.
+#: Least points of an object, and m, least height: fewer or flatter ones make no detection.
 LEAST_POINTS, LEAST_HEIGHT_M = 5, 0.25
 
 
@@ -73,7 +73,7 @@ def _components(position: Floats) -> Iterator[Ints]:
 
 
 def _middle(position: Floats) -> Floats:
-    """(3,) m, the middle of what surrounds points (n, 3)."""
+    """(3,) m, the middle of the box around points (n, 3)."""
     return np.asarray((position.min(axis=0) + position.max(axis=0)) / 2.0)
 
 

@@ -1,8 +1,8 @@
 """The closed loop of PosePert beside ours: a vehicle on a road is perceived up to a metre aside, and the ego reacts.
 
 Every trial under attack is paired with its twin, the same road, seed and defence without the attack. As there, only
-roads count on which the twin is safe: in a cut-in it stays above CLEAN_KMH, behind a leader it neither collides nor
-comes below CRITICAL_S.
+roads count on which the twin is safe: in a cut-in it is never slower than CLEAN_KMH; behind a leader it does not
+collide, and its time to collision is never below CRITICAL_S.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from mast_zenoh.runs.run import Run
     from mast_zenoh.show.figures.drawing import RenderedFigure
 
-#: km/h; a clean ego of a cut-in stays above the first; an attacked one brakes needlessly if its least speed is that of
-#: its twin minus the second, or lower. Source: zqzqz/PosePert 4c58d7f, carla_demo/mvp_carla/config.py.
+#: km/h: the ego of a safe twin is never slower than the first; an attacked one brakes needlessly if its least speed is
+#: lower than that of its twin by the second or more. Source: zqzqz/PosePert 4c58d7f, carla_demo/mvp_carla/config.py.
 CLEAN_KMH, SLOWER_KMH = 22.0, 4.0
 #: m, from the target to the object of the picture that stands for it.
 _GATE_M = 2.0
-#: By case: what its attack is called, and the measure that says whether it harms.
+#: By case: the name of its attack, and the measure of its harm.
 CASES = {"cut_in": ("phantom cut-in", "slowed"), "leader": ("suppressed leader", "critical")}
-#: What the paper says, what its authors' own repetition found, and where ours is: a case, and one or two numbers.
+#: Of a case: measure, its value in the paper and in the authors' own repetition, and one or two numbers of ours.
 #: Source: arXiv 2605.01301, and zqzqz/PosePert 3c95189.
 PUBLISHED = (
     ("cut_in", "roads with needless braking (%)", "50", "25 (3 of 12)", ("slowed",)),
@@ -196,7 +196,7 @@ class PosePerturbation(Kind):
 
 
 def _median(values: Floats) -> Statistic:
-    """The median of a least time in all trials, s; infinite: nothing was ahead in half of them."""
+    """The median over trials of the least time to collision, s; infinite: nothing was ahead in half of them."""
     return statistics.pooled(lambda rows: float(np.median(values[rows])), len(values))
 
 
@@ -212,7 +212,7 @@ _BY_DEFENCE = {
 
 
 def _compared(table: Sequence[Row]) -> TextTable:
-    """Theirs, their repetition, and ours without a defence."""
+    """The paper, its authors' repetition, and our results without a defence."""
     lines = []
     for case, what, paper, repeated, names in PUBLISHED:
         for row in table:

@@ -1,7 +1,7 @@
 """From a spoofer's pulses to the brake: how far attacks on a lidar get, link by link.
 
 Every trial under attack is paired with its twin, the same scene, seed and checks without the attack. The links are
-measured on the wires and by the evaluator, never as the attack says.
+measured on the wires and by the evaluator, never reported by the attack.
 """
 
 from __future__ import annotations
@@ -57,10 +57,11 @@ class SpoofedSensing(Kind):
     def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
         """The part `defence` of a trial's metrics, of the frames from the attack's first change on.
 
-        frames:   their number;  landed: in which points were inserted or removed
-        points:   mean number of them in these
-        detected: of these, in which what was inserted is detected at the victim, or what was removed is not
-        tracked, fused: in which the ego's own tracks, and its mission estimate, have an error that the attack caused
+        frames:   their number;  landed: frames in which points were inserted or removed
+        points:   mean number of these points in a landed frame
+        detected: landed frames in which the victim detects what was inserted, or does not detect what was removed
+        tracked, fused: frames in which the ego's own tracks, or its mission estimate, have an error that the attack
+                  caused
         """
         effects = from_arrow(run.attacks)
         rows = np.flatnonzero((effects["message"] == "points") & (effects["points"] > 0))
@@ -122,7 +123,7 @@ class SpoofedSensing(Kind):
         links = table_of_rows("Links of the chain", paragraph("sensing_about"), table, columns, texts=4)
         return ResultTables(
             "Attacks on lidars",
-            " ".join([f"{self.size}.", *sentences, paragraph("sensing_about")]),
+            " ".join([f"{self.size}.", *sentences]),
             self.size,
             [links],
             numbers_of_rows(table),
@@ -163,7 +164,7 @@ def conclusion(table: Sequence[Row]) -> list[str]:
 
 
 def _broken(row: Row) -> str:
-    """The first link of an attack that succeeds in less than half; empty: none, all do."""
+    """The first link of an attack that succeeds in less than half; empty: all do in half and more."""
     return next((link for link in LINKS if row[link].value < 0.5), "")
 
 
