@@ -34,7 +34,7 @@ class ScanStamp(NamedTuple):
 
 
 def stamp_of_scan(payload: bytes) -> ScanStamp:
-    """The header with which a payload begins. Raises MessageError for bytes that are none."""
+    """The header with which a payload begins. Raises MessageError if it has none."""
     try:
         order = "<" if payload[1] & 1 else ">"
         s, ns, length = struct.unpack_from(f"{order}iII", payload, 4)
@@ -65,7 +65,7 @@ def read_scans(bag: Bag, entry: PointsEntry, wanted: Collection[int]) -> dict[in
 def points_of(message: RosMessage, place: str, most_intensity: float = 1.0) -> Points:
     """The points of a PointCloud2, without those at 0, 0, 0 and those that are no numbers, which are no returns.
 
-    place: of it, for messages;  most_intensity: becomes 1, like all above
+    place: of it, for messages;  most_intensity: becomes 1, as do all above
 
     Times and channels are kept together, or neither. Raises SceneError for a message that cannot be.
     """
