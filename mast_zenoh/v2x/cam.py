@@ -15,118 +15,67 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from mast_zenoh.v2x.asn1 import uper
+from mast_zenoh.v2x.asn1 import cdd, uper
 from mast_zenoh.v2x.asn1.asn1_types import Absent, Choice, Integer, ListOf, Optional, Sequence, Type, Wrapped
-from mast_zenoh.v2x.asn1.cdd import (
-    AccelerationComponent,
-    AccelerationControl,
-    BasicContainer,
-    BasicLaneConfiguration,
-    BrakeControl,
-    CartesianAngle,
-    CauseCodeV2,
-    CenDsrcTollingZone,
-    ClosedLanes,
-    ConfidenceLevel,
-    ConfidenceLevels,
-    Curvature,
-    CurvatureCalculationMode,
-    DangerousGoodsBasic,
-    DriveDirection,
-    EmbarkationStatus,
-    EmergencyPriority,
-    ExteriorLights,
-    GeneralizedLanePositions,
-    GenerationDeltaTime,
-    Heading,
-    ItsPduHeader,
-    LanePosition,
-    LightBarSirenInUse,
-    MessageId,
-    MetaInformation,
-    OrdinalNumber1B,
-    Path,
-    PathPredictedList,
-    PerformanceClass,
-    PolygonalLine,
-    ProtectedCommunicationZonesRSU,
-    PtActivation,
-    RoadworksSubCauseCode,
-    SpecialTransportType,
-    Speed,
-    SpeedLimit,
-    StabilityChangeIndication,
-    SteeringWheelAngle,
-    TrafficRule,
-    VehicleHeight2,
-    VehicleLength,
-    VehicleMovementControl,
-    VehicleRole,
-    VehicleWidth,
-    VruMovementControl,
-    Wgs84Angle,
-    WiperStatus,
-    YawRate,
-)
 from mast_zenoh.v2x.asn1.layout import EncodingProgram, slot_of
 from mast_zenoh.v2x.asn1.uper import Values
 from mast_zenoh.v2x.reference_position import Position
 
 BasicVehicleContainerHighFrequency = Sequence(
-    heading=Heading,
-    speed=Speed,
-    driveDirection=DriveDirection,
-    vehicleLength=VehicleLength,
-    vehicleWidth=VehicleWidth,
-    longitudinalAcceleration=AccelerationComponent,
-    curvature=Curvature,
-    curvatureCalculationMode=CurvatureCalculationMode,
-    yawRate=YawRate,
-    accelerationControl=Optional(AccelerationControl),
-    lanePosition=Optional(LanePosition),
-    steeringWheelAngle=Optional(SteeringWheelAngle),
-    lateralAcceleration=Optional(AccelerationComponent),
-    verticalAcceleration=Optional(AccelerationComponent),
-    performanceClass=Optional(PerformanceClass),
-    cenDsrcTollingZone=Optional(CenDsrcTollingZone),
+    heading=cdd.Heading,
+    speed=cdd.Speed,
+    driveDirection=cdd.DriveDirection,
+    vehicleLength=cdd.VehicleLength,
+    vehicleWidth=cdd.VehicleWidth,
+    longitudinalAcceleration=cdd.AccelerationComponent,
+    curvature=cdd.Curvature,
+    curvatureCalculationMode=cdd.CurvatureCalculationMode,
+    yawRate=cdd.YawRate,
+    accelerationControl=Optional(cdd.AccelerationControl),
+    lanePosition=Optional(cdd.LanePosition),
+    steeringWheelAngle=Optional(cdd.SteeringWheelAngle),
+    lateralAcceleration=Optional(cdd.AccelerationComponent),
+    verticalAcceleration=Optional(cdd.AccelerationComponent),
+    performanceClass=Optional(cdd.PerformanceClass),
+    cenDsrcTollingZone=Optional(cdd.CenDsrcTollingZone),
 )
 RSUContainerHighFrequency = Sequence(
-    protectedCommunicationZonesRSU=Optional(ProtectedCommunicationZonesRSU)
+    protectedCommunicationZonesRSU=Optional(cdd.ProtectedCommunicationZonesRSU)
 ).extensible()
 HighFrequencyContainer = Choice(
     basicVehicleContainerHighFrequency=BasicVehicleContainerHighFrequency,
     rsuContainerHighFrequency=RSUContainerHighFrequency,
 ).extensible()
 BasicVehicleContainerLowFrequency = Sequence(
-    vehicleRole=VehicleRole,
-    exteriorLights=ExteriorLights,
-    pathHistory=Path,
+    vehicleRole=cdd.VehicleRole,
+    exteriorLights=cdd.ExteriorLights,
+    pathHistory=cdd.Path,
 )
 LowFrequencyContainer = Choice(
-    basicVehicleContainerLowFrequency=BasicVehicleContainerLowFrequency.constrained(pathHistory=Path.at_most(23))
+    basicVehicleContainerLowFrequency=BasicVehicleContainerLowFrequency.constrained(pathHistory=cdd.Path.at_most(23))
 ).extensible()
-PublicTransportContainer = Sequence(embarkationStatus=EmbarkationStatus, ptActivation=Optional(PtActivation))
+PublicTransportContainer = Sequence(embarkationStatus=cdd.EmbarkationStatus, ptActivation=Optional(cdd.PtActivation))
 SpecialTransportContainer = Sequence(
-    specialTransportType=SpecialTransportType,
-    lightBarSirenInUse=LightBarSirenInUse,
+    specialTransportType=cdd.SpecialTransportType,
+    lightBarSirenInUse=cdd.LightBarSirenInUse,
 )
-DangerousGoodsContainer = Sequence(dangerousGoodsBasic=DangerousGoodsBasic)
+DangerousGoodsContainer = Sequence(dangerousGoodsBasic=cdd.DangerousGoodsBasic)
 RoadWorksContainerBasic = Sequence(
-    roadworksSubCauseCode=Optional(RoadworksSubCauseCode),
-    lightBarSirenInUse=LightBarSirenInUse,
-    closedLanes=Optional(ClosedLanes),
+    roadworksSubCauseCode=Optional(cdd.RoadworksSubCauseCode),
+    lightBarSirenInUse=cdd.LightBarSirenInUse,
+    closedLanes=Optional(cdd.ClosedLanes),
 )
-RescueContainer = Sequence(lightBarSirenInUse=LightBarSirenInUse)
+RescueContainer = Sequence(lightBarSirenInUse=cdd.LightBarSirenInUse)
 EmergencyContainer = Sequence(
-    lightBarSirenInUse=LightBarSirenInUse,
-    incidentIndication=Optional(CauseCodeV2),
-    emergencyPriority=Optional(EmergencyPriority),
+    lightBarSirenInUse=cdd.LightBarSirenInUse,
+    incidentIndication=Optional(cdd.CauseCodeV2),
+    emergencyPriority=Optional(cdd.EmergencyPriority),
 )
 SafetyCarContainer = Sequence(
-    lightBarSirenInUse=LightBarSirenInUse,
-    incidentIndication=Optional(CauseCodeV2),
-    trafficRule=Optional(TrafficRule),
-    speedLimit=Optional(SpeedLimit),
+    lightBarSirenInUse=cdd.LightBarSirenInUse,
+    incidentIndication=Optional(cdd.CauseCodeV2),
+    trafficRule=Optional(cdd.TrafficRule),
+    speedLimit=Optional(cdd.SpeedLimit),
 )
 SpecialVehicleContainer = Choice(
     publicTransportContainer=PublicTransportContainer,
@@ -139,30 +88,30 @@ SpecialVehicleContainer = Choice(
 ).extensible()
 CyclistTypeSpecificInformation = Sequence(
     vruSubProfileBicyclist=Optional(Integer(0, 10).only(0, 1, 5, (7, 10))),
-    vruMovementControl=Optional(VruMovementControl),
+    vruMovementControl=Optional(cdd.VruMovementControl),
 ).extensible()
 TwoWheelerTypeSpecificInformation = Choice(cyclist=CyclistTypeSpecificInformation).extensible()
 TwoWheelerContainer = Sequence(
     typeSpecificInformation=Optional(TwoWheelerTypeSpecificInformation),
-    rollAngle=Optional(CartesianAngle),
-    orientation=Optional(Wgs84Angle),
-    stabilityChangeIndication=Optional(StabilityChangeIndication),
+    rollAngle=Optional(cdd.CartesianAngle),
+    orientation=Optional(cdd.Wgs84Angle),
+    stabilityChangeIndication=Optional(cdd.StabilityChangeIndication),
 ).extensible()
 EHorizonLocationSharingContainer = Sequence(
-    segmentAhead=PolygonalLine,
-    nodeProbabilities=Optional(ConfidenceLevels),
-    segmentBehind=PolygonalLine,
-    laneLevelDetails=Optional(BasicLaneConfiguration),
-    segmentSource=Optional(MetaInformation.constrained(confidenceValue=Absent(ConfidenceLevel))),
+    segmentAhead=cdd.PolygonalLine,
+    nodeProbabilities=Optional(cdd.ConfidenceLevels),
+    segmentBehind=cdd.PolygonalLine,
+    laneLevelDetails=Optional(cdd.BasicLaneConfiguration),
+    segmentSource=Optional(cdd.MetaInformation.constrained(confidenceValue=Absent(cdd.ConfidenceLevel))),
 ).extensible()
 VeryLowFrequencyContainer = Sequence(
-    vehicleHeight=Optional(VehicleHeight2),
-    wiperStatus=Optional(WiperStatus),
-    brakeControl=Optional(BrakeControl),
+    vehicleHeight=Optional(cdd.VehicleHeight2),
+    wiperStatus=Optional(cdd.WiperStatus),
+    brakeControl=Optional(cdd.BrakeControl),
 ).extensible()
-PathPredictionContainer = Sequence(pathPredictedList=PathPredictedList).extensible()
-GeneralizedLanePositionsContainer = Sequence(generalizedLanePositions=GeneralizedLanePositions).extensible()
-VehicleMovementControlContainer = Sequence(vehicleMovementControl=VehicleMovementControl).extensible()
+PathPredictionContainer = Sequence(pathPredictedList=cdd.PathPredictedList).extensible()
+GeneralizedLanePositionsContainer = Sequence(generalizedLanePositions=cdd.GeneralizedLanePositions).extensible()
+VehicleMovementControlContainer = Sequence(vehicleMovementControl=cdd.VehicleMovementControl).extensible()
 # The identifier is extensible by itself, but not under the table that it chooses from (X.680, 50.11).
 WrappedExtensionContainer = Wrapped(
     "containerId",
@@ -179,14 +128,14 @@ WrappedExtensionContainer = Wrapped(
 )
 WrappedExtensionContainers = ListOf(WrappedExtensionContainer, 1, 8, extensible=True)
 CamParameters = Sequence(
-    basicContainer=BasicContainer,
+    basicContainer=cdd.BasicContainer,
     highFrequencyContainer=HighFrequencyContainer,
     lowFrequencyContainer=Optional(LowFrequencyContainer),
     specialVehicleContainer=Optional(SpecialVehicleContainer),
 ).extensible(extensionContainers=Optional(WrappedExtensionContainers))
-CamPayload = Sequence(generationDeltaTime=GenerationDeltaTime, camParameters=CamParameters)
+CamPayload = Sequence(generationDeltaTime=cdd.GenerationDeltaTime, camParameters=CamParameters)
 CAM = Sequence(
-    header=ItsPduHeader.constrained(protocolVersion=OrdinalNumber1B.only(2), messageId=MessageId.only(2)),
+    header=cdd.ItsPduHeader.constrained(protocolVersion=cdd.OrdinalNumber1B.only(2), messageId=cdd.MessageId.only(2)),
     cam=CamPayload,
 )
 

@@ -16,81 +16,59 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.errors import MessageError
-from mast_zenoh.v2x.asn1 import uper
+from mast_zenoh.v2x.asn1 import cdd, uper
 from mast_zenoh.v2x.asn1.asn1_types import BOOLEAN, Absent, Demanded, Integer, ListOf, Optional, Sequence, Wrapped
-from mast_zenoh.v2x.asn1.cdd import (
-    CardinalNumber1B,
-    CartesianAngle,
-    ConfidenceLevel,
-    DeltaTimeMilliSecondSigned,
-    Identifier1B,
-    Identifier2B,
-    ItsPduHeader,
-    MapReference,
-    MessageId,
-    MessageRateHz,
-    MessageSegmentationInfo,
-    OrdinalNumber1B,
-    PerceivedObject,
-    ReferencePosition,
-    SensorType,
-    SequenceOfIdentifier1B,
-    Shape,
-    StandardLength1B,
-    TimestampIts,
-    TrailerData,
-    VehicleWidth,
-    Wgs84Angle,
-)
 from mast_zenoh.v2x.asn1.layout import EncodingProgram, slot_of, width
 from mast_zenoh.v2x.asn1.uper import Values
 from mast_zenoh.v2x.perceived_objects import PerceivedObjects, from_rows, to_rows
 from mast_zenoh.v2x.reference_position import Position
 
-MessageRateRange = Sequence(messageRateMin=MessageRateHz, messageRateMax=MessageRateHz)
+MessageRateRange = Sequence(messageRateMin=cdd.MessageRateHz, messageRateMax=cdd.MessageRateHz)
 ManagementContainer = Sequence(
-    referenceTime=TimestampIts,
-    referencePosition=ReferencePosition,
-    segmentationInfo=Optional(MessageSegmentationInfo),
+    referenceTime=cdd.TimestampIts,
+    referencePosition=cdd.ReferencePosition,
+    segmentationInfo=Optional(cdd.MessageSegmentationInfo),
     messageRateRange=Optional(MessageRateRange),
 ).extensible()
 TrailerDataSet = ListOf(
-    TrailerData.constrained(
-        frontOverhang=Absent(StandardLength1B), rearOverhang=Absent(StandardLength1B), trailerWidth=Absent(VehicleWidth)
+    cdd.TrailerData.constrained(
+        frontOverhang=Absent(cdd.StandardLength1B),
+        rearOverhang=Absent(cdd.StandardLength1B),
+        trailerWidth=Absent(cdd.VehicleWidth),
     ),
     1,
     8,
     extensible=True,
 )
 OriginatingVehicleContainer = Sequence(
-    orientationAngle=Wgs84Angle,
-    pitchAngle=Optional(CartesianAngle),
-    rollAngle=Optional(CartesianAngle),
+    orientationAngle=cdd.Wgs84Angle,
+    pitchAngle=Optional(cdd.CartesianAngle),
+    rollAngle=Optional(cdd.CartesianAngle),
     trailerDataSet=Optional(TrailerDataSet),
 ).extensible()
-OriginatingRsuContainer = Sequence(mapReference=Optional(MapReference)).extensible()
+OriginatingRsuContainer = Sequence(mapReference=Optional(cdd.MapReference)).extensible()
 SensorInformation = Sequence(
-    sensorId=Identifier1B,
-    sensorType=SensorType,
-    perceptionRegionShape=Optional(Shape),
-    perceptionRegionConfidence=Optional(ConfidenceLevel),
+    sensorId=cdd.Identifier1B,
+    sensorType=cdd.SensorType,
+    perceptionRegionShape=Optional(cdd.Shape),
+    perceptionRegionConfidence=Optional(cdd.ConfidenceLevel),
     shadowingApplies=BOOLEAN,
 ).extensible()
 SensorInformationContainer = ListOf(SensorInformation, 1, 128, extensible=True)
-PerceivedObjectIds = ListOf(Identifier2B, 0, 255, extensible=True)
+PerceivedObjectIds = ListOf(cdd.Identifier2B, 0, 255, extensible=True)
 PerceptionRegion = Sequence(
-    measurementDeltaTime=DeltaTimeMilliSecondSigned,
-    perceptionRegionConfidence=ConfidenceLevel,
-    perceptionRegionShape=Shape,
+    measurementDeltaTime=cdd.DeltaTimeMilliSecondSigned,
+    perceptionRegionConfidence=cdd.ConfidenceLevel,
+    perceptionRegionShape=cdd.Shape,
     shadowingApplies=BOOLEAN,
-    sensorIdList=Optional(SequenceOfIdentifier1B),
-    numberOfPerceivedObjects=Optional(CardinalNumber1B),
+    sensorIdList=Optional(cdd.SequenceOfIdentifier1B),
+    numberOfPerceivedObjects=Optional(cdd.CardinalNumber1B),
     perceivedObjectIds=Optional(PerceivedObjectIds),
 ).extensible()
 PerceptionRegionContainer = ListOf(PerceptionRegion, 1, 256, extensible=True)
-_ObjectList = ListOf(PerceivedObject.constrained(objectId=Demanded(Identifier2B)), 0, 255, extensible=True)
+_ObjectList = ListOf(cdd.PerceivedObject.constrained(objectId=Demanded(cdd.Identifier2B)), 0, 255, extensible=True)
 PerceivedObjectContainer = Sequence(
-    numberOfPerceivedObjects=CardinalNumber1B,
+    numberOfPerceivedObjects=cdd.CardinalNumber1B,
     perceivedObjects=_ObjectList,
 ).extensible()
 WrappedCpmContainer = Wrapped(
@@ -112,7 +90,7 @@ CpmPayload = Sequence(
     cpmContainers=ConstraintWrappedCpmContainers,
 ).extensible()
 CollectivePerceptionMessage = Sequence(
-    header=ItsPduHeader.constrained(protocolVersion=OrdinalNumber1B.only(2), messageId=MessageId.only(14)),
+    header=cdd.ItsPduHeader.constrained(protocolVersion=cdd.OrdinalNumber1B.only(2), messageId=cdd.MessageId.only(14)),
     payload=CpmPayload,
 )
 
