@@ -259,19 +259,19 @@ class _Absence(ProcessFault):
 
     @property
     @abstractmethod
-    def absence(self) -> tuple[str, float | None]:
-        """Name and value of the parameter: s until they are started again; None: never."""
+    def absence(self) -> str:
+        """Name of the parameter: s until they are started again; None: never."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        name, seconds = self.absence
+        seconds = getattr(self, self.absence)
         if seconds is not None and not 0.0 < seconds <= LATEST_S:
-            raise ValueError(f"{name}: found {seconds}, expected more than 0")
+            raise ValueError(f"{self.absence}: found {seconds}, expected more than 0")
 
     @property
     def over(self) -> float | None:
-        seconds = self.absence[1]
-        return None if seconds is None else self.at + seconds
+        seconds = getattr(self, self.absence)
+        return None if seconds is None else self.at + float(seconds)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,12 +281,8 @@ class Kill(_Absence):
     restart_after: s until they are restarted; None: never.
     """
 
-    begins = "kill"
+    begins, absence = "kill", "restart_after"
     restart_after: float | None = None
-
-    @property
-    def absence(self) -> tuple[str, float | None]:
-        return "restart_after", self.restart_after
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -296,12 +292,8 @@ class Leave(_Absence):
     return_after: s until they return; None: never.
     """
 
-    begins = "leave"
+    begins, absence = "leave", "return_after"
     return_after: float | None = None
-
-    @property
-    def absence(self) -> tuple[str, float | None]:
-        return "return_after", self.return_after
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,12 +303,8 @@ class Restart(_Absence):
     down_s: s in between, at least a frame.
     """
 
-    begins = "leave"
+    begins, absence = "leave", "down_s"
     down_s: float = 0.5
-
-    @property
-    def absence(self) -> tuple[str, float | None]:
-        return "down_s", self.down_s
 
 
 @dataclass(frozen=True, kw_only=True)
