@@ -56,19 +56,20 @@ def write_layouts(messages: RunMessages, folder: Path) -> Layouts:
 def rviz_layout(messages: RunMessages) -> dict[str, Any]:
     """A configuration of RViz with a display for each topic that it can show; truth and pictures are visible."""
     of_objects = [
-        _display(kind, topic + ending, visible=ending == MARKERS and series in _shown(messages.run))
+        _display_of_topic(kind, topic + ending, visible=ending == MARKERS and series in _shown(messages.run))
         for ending, kind in _CLASSES.items()
         for series, topic in messages.objects.items()
     ]
     of_agents = [
-        _display("rviz_default_plugins/Odometry", topic, visible=False, Keep=1, Shape={"Value": "Axes"})
+        _display_of_topic("rviz_default_plugins/Odometry", topic, visible=False, Keep=1, Shape={"Value": "Axes"})
         for topic in messages.odometry.values()
     ]
     of_lidars = [
-        _display("rviz_default_plugins/PointCloud2", topic, visible=agent == messages.run.agents[0])
+        _display_of_topic("rviz_default_plugins/PointCloud2", topic, visible=agent == messages.run.agents[0])
         for agent, topic in messages.points.items()
     ]
     (x, y), distance = view_of(messages.run)
+    grid = {"Cell Size": 20, "Plane Cell Count": 10, "Reference Frame": "<Fixed Frame>"}
     return {
         "Panels": [
             {"Class": "rviz_common/Displays", "Name": "Displays"},
@@ -78,23 +79,9 @@ def rviz_layout(messages: RunMessages) -> dict[str, Any]:
         "Visualization Manager": {
             "Class": "",
             "Displays": [
-                {
-                    "Class": "rviz_default_plugins/Grid",
-                    "Name": "Grid",
-                    "Enabled": True,
-                    "Value": True,
-                    "Cell Size": 20,
-                    "Plane Cell Count": 10,
-                    "Reference Frame": "<Fixed Frame>",
-                },
-                {
-                    "Class": "rviz_default_plugins/TF",
-                    "Name": f"{TRANSFORMS}, {MOUNTS}",
-                    "Enabled": True,
-                    "Value": True,
-                    "Show Arrows": False,
-                    "Marker Scale": 5,
-                },
+                _display("rviz_default_plugins/Grid", "Grid") | grid,
+                _display("rviz_default_plugins/TF", f"{TRANSFORMS}, {MOUNTS}")
+                | {"Show Arrows": False, "Marker Scale": 5},
                 *of_objects,
                 *of_agents,
                 *of_lidars,
@@ -141,17 +128,16 @@ def _shown(run: Run) -> list[Any]:
     return [series for series in run.topics if series == TRUTH or series.estimator == PICTURE]
 
 
-def _display(kind: str, topic: str, *, visible: bool, **more: Any) -> dict[str, Any]:
+def _display(kind: str, name: str, *, visible: bool = True) -> dict[str, Any]:
+    """A display of RViz."""
+    return {"Class": kind, "Name": name, "Enabled": visible, "Value": visible}
+
+
+def _display_of_topic(kind: str, topic: str, *, visible: bool, **more: Any) -> dict[str, Any]:
     """A display of RViz for a topic, reliable and volatile as the bridge publishes it."""
     policies = {"Depth": 10, "Durability Policy": "Volatile", "History Policy": "Keep Last"}
-    return {
-        "Class": kind,
-        "Name": topic,
-        "Enabled": visible,
-        "Value": visible,
-        "Topic": {"Value": topic, **policies, "Reliability Policy": "Reliable"},
-        **more,
-    }
+    source = {"Value": topic, **policies, "Reliability Policy": "Reliable"}
+    return _display(kind, topic, visible=visible) | {"Topic": source, **more}
 
 
 def _colour(name: str) -> str:
