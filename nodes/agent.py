@@ -66,11 +66,8 @@ class Perceived(NamedTuple):
 
     def detections(self) -> Detections:
         """What all sensors have detected, in the world."""
-        parts = [to_world(each.detections, *sensor_in_world(self.pose, each.mount)) for each in self.measured]
-        if not parts:
-            return Detections.empty()
-        columns = [part.columns() for part in parts]
-        return Detections(*(np.concatenate([each[name] for each in columns]) for name in columns[0]))
+        parts = (to_world(each.detections, *sensor_in_world(self.pose, each.mount)) for each in self.measured)
+        return Detections.joined([Detections.empty(), *parts])
 
 
 class Agent(Node):
