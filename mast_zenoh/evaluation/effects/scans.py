@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
+from mast_zenoh.arrays.matching import connected_groups
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.messages.schemas import Body
 from mast_zenoh.sensing.points import Points
@@ -52,22 +53,12 @@ def objects_of(points: Points, level: Floats) -> Iterator[tuple[Floats, int]]:
 
 def _components(position: Floats) -> Iterator[Ints]:
     """Yield the rows of each connected group of points (n, 3), of which neighbours share a cell or a side or corner."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree  # slow to load
 
     cell = np.floor(position[:, :2] / CELL_M).astype(np.int64)
     cells, of_point = np.unique(cell, axis=0, return_inverse=True)
-    of_point = of_point.reshape(-1)
-    span = int(np.ptp(cells[:, 1])) + 3 if len(cells) else 1
-    code = cells[:, 0] * span + cells[:, 1]  # ascending, as the cells are sorted
-    pairs = []
-    for step in (1, span - 1, span, span + 1):
-        at = np.minimum(np.searchsorted(code, code + step), max(len(code) - 1, 0))
-        hit = np.flatnonzero(code[at] == code + step) if len(code) else np.zeros(0, np.int64)
-        pairs.append(np.stack([hit, at[hit]]))
-    i, j = np.concatenate(pairs, axis=1)
-    graph = coo_matrix((np.ones(len(i)), (i, j)), shape=(len(cells), len(cells)))
-    label = connected_components(graph, directed=False)[1][of_point] if len(cells) else of_point
+    i, j = cKDTree(cells).query_pairs(1.5, output_type="ndarray").astype(np.int64).T
+    label = connected_groups(len(cells), i, j)[of_point.reshape(-1)]
     order = np.argsort(label, kind="stable")
     yield from np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if len(order) else ()
 
