@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import (
     NO_OFFSET,
     NO_TURN,
@@ -118,14 +119,9 @@ class Agent(Node):
         detector: PointDetector | None = None,
         late_frames: int = 0,
     ) -> None:
-        if status_every < 1:
-            raise ValueError(f"status_every: found {status_every}, expected 1 or more")
-        if picture_age_s < 0.0:
-            raise ValueError(f"picture_age_s: found {picture_age_s}, expected 0 or more")
-        if not unsupported_std_m > 0.0:
-            raise ValueError(f"unsupported_std_m: found {unsupported_std_m}, expected more than 0")
-        if late_frames < 0:
-            raise ValueError(f"late_frames: found {late_frames}, expected 0 or more")
+        check("1 or more", status_every=status_every)
+        check("0 or more", picture_age_s=picture_age_s, late_frames=late_frames)
+        check("more than 0", unsupported_std_m=unsupported_std_m)
         if detector is not None and len(sensors) > 1:
             raise ValueError(f"detector: found {len(sensors)} sensors, expected one: the lidar that returns its points")
         self.pipeline = pipeline

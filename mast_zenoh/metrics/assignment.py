@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.boxes import Boxes, intersection_area
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.matching import greedy_matching, min_cost_matching
 from mast_zenoh.arrays.states import Bools, Floats, Ints, row_order, within_runs
 from mast_zenoh.kernels import kernel
@@ -53,8 +54,7 @@ class CenterDistanceAssigner(Assigner):
     """
 
     def __init__(self, *, gate_m: float = 2.0, dimensions: int = 2) -> None:
-        if not gate_m > 0.0:
-            raise ValueError(f"gate_m: found {gate_m}, expected more than 0")
+        check("more than 0", gate_m=gate_m)
         self.gate_m = gate_m
         self.dimensions = check_dimensions(dimensions)
 
@@ -110,8 +110,7 @@ class SetDistance:
     dimensions: int = 2
 
     def __post_init__(self) -> None:
-        if not self.c > 0.0:
-            raise ValueError(f"c: found {self.c}, expected more than 0")
+        check("more than 0", c=self.c)
         if not 1.0 <= self.p < np.inf:
             raise ValueError(f"p: found {self.p}, expected 1 or more")
         if not 0.0 < self.alpha <= 2.0:

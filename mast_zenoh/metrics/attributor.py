@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.metrics.assignment import Places, find, latest, nearest, occurs
 from mast_zenoh.metrics.causes import (
@@ -66,9 +67,7 @@ class AttributionLimits:
     late_picture_s: float = 0.5
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if not 0.0 <= (value := getattr(self, field.name)) < np.inf:
-                raise ValueError(f"{field.name}: found {value}, expected 0 or more")
+        check("0 or more, finite", **asdict(self))
 
 
 #: Smaller ids are used directly; an adversary may send any.

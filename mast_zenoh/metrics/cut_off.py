@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Bools, Ints
 from mast_zenoh.metrics.assignment import find, occurs
 from mast_zenoh.metrics.estimates import LOCAL
@@ -59,9 +60,7 @@ class CutOff:
     recovery_s: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, value in (("useful_age_s", self.useful_age_s), ("recovery_s", self.recovery_s)):
-            if not 0.0 <= value < np.inf:
-                raise ValueError(f"{name}: found {value}, expected 0 or more")
+        check("0 or more, finite", useful_age_s=self.useful_age_s, recovery_s=self.recovery_s)
 
     def objects(
         self,

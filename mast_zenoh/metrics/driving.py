@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mast_zenoh.arrays.boxes import overlapping
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import distance_along
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.kernels import kernel
@@ -67,12 +68,8 @@ class SafeDistance(BrakingRule):
         braking: float = 4.0,
         braking_ahead: float = 8.0,
     ) -> None:
-        for name, value in (("response_s", response_s), ("acceleration", acceleration)):
-            if not 0.0 <= value < np.inf:
-                raise ValueError(f"{name}: found {value}, expected 0 or more")
-        for name, value in (("braking", braking), ("braking_ahead", braking_ahead)):
-            if not 0.0 < value < np.inf:
-                raise ValueError(f"{name}: found {value}, expected more than 0")
+        check("0 or more, finite", response_s=response_s, acceleration=acceleration)
+        check("more than 0, finite", braking=braking, braking_ahead=braking_ahead)
         self.response_s, self.acceleration = response_s, acceleration
         self.braking, self.braking_ahead = braking, braking_ahead
 
@@ -98,8 +95,7 @@ class TimeToCollision(BrakingRule):
     """
 
     def __init__(self, *, threshold_s: float = 1.5) -> None:
-        if not 0.0 < threshold_s < np.inf:
-            raise ValueError(f"threshold_s: found {threshold_s}, expected more than 0")
+        check("more than 0, finite", threshold_s=threshold_s)
         self.threshold_s = threshold_s
 
     def brakes(self, gap_m: Floats, speed_mps: Floats, ahead_mps: Floats) -> Bools:
@@ -175,10 +171,8 @@ class Driving:
     margin_m: float = 0.3
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.horizon_m < np.inf:
-            raise ValueError(f"horizon_m: found {self.horizon_m}, expected more than 0")
-        if not 0.0 <= self.margin_m < np.inf:
-            raise ValueError(f"margin_m: found {self.margin_m}, expected 0 or more")
+        check("more than 0, finite", horizon_m=self.horizon_m)
+        check("0 or more, finite", margin_m=self.margin_m)
 
     def ahead(self, vehicle: VehicleCourse, objects: RoadUsers) -> Ahead:
         """The objects in the corridor, and the objects that overlap the vehicle itself.

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Detections, Floats, Ints
 from mast_zenoh.kernels import kernel
@@ -289,16 +290,11 @@ class ClusterDetector(PointDetector):
     growth_m: float = 30.0
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("reach_m", 10.0, 250.0),
-            ("min_points", 1, 1000),
-            ("clearance_m", 0.0, 1.0),
-            ("slope", 0.0, 0.5),
-            ("cell_m", 0.2, 2.0),
-            ("growth_m", 1.0, 1000.0),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name}: found {getattr(self, name)}, expected {low:g} to {high:g}")
+        check("10 to 250", reach_m=self.reach_m)
+        check("1 to 1000", min_points=self.min_points, growth_m=self.growth_m)
+        check("0 to 1", clearance_m=self.clearance_m)
+        check("0 to 0.5", slope=self.slope)
+        check("0.2 to 2", cell_m=self.cell_m)
 
     def detect(self, points: Points) -> Detections:
         points_mm, ground, reach = points_and_ground(points.position, self.reach_m, self.slope)

@@ -89,7 +89,7 @@ def spoilt(packed: list[Any], how: str, column: Column) -> list[Any] | None:
     dtype, shape, data = packed
     numbers = column.dtype != "str" and data
     if how == "dtype":
-        return ["<f4", shape, data]
+        return ["<f4" if column.dtype != "float32" else "<f8", shape, data]
     if how == "shape":
         return [dtype, [*shape, 1], data]
     if how == "fractions":

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.metrics.study_results import NAN, Row, Statistic
 from mast_zenoh.show.findings.words import paragraph
@@ -312,7 +313,7 @@ def _episode(times: Floats, seen_by: Ints, offset: Floats, end_s: float) -> Epis
 
 def offset_floor_s(offset_m: float) -> float:
     """s until one witness can know of a constant offset; raises ValueError unless it is positive."""
-    _check("offset_m", offset_m)
+    check("more than 0, finite", offset_m=offset_m)
     return EVIDENCE / (INDEPENDENT_PER_S * offset_m**2 / (2.0 * TRACK_SD_M**2))
 
 
@@ -321,7 +322,7 @@ def drift_floor_s(rate_mps: float) -> float:
 
     The evidence after t s is the integral of that of the offset: INDEPENDENT_PER_S rate^2 t^3 / (6 TRACK_SD_M^2).
     """
-    _check("rate_mps", rate_mps)
+    check("more than 0, finite", rate_mps=rate_mps)
     return math.cbrt(6.0 * TRACK_SD_M**2 * EVIDENCE / (INDEPENDENT_PER_S * rate_mps**2))
 
 
@@ -329,11 +330,6 @@ def speed_up(witnesses: ArrayLike) -> Floats:
     """(...) factor by which several witnesses shorten the delay; 0 without any, as nobody can ever know."""
     factor: Floats = np.cbrt(np.asarray(witnesses, np.float64))
     return factor
-
-
-def _check(name: str, value: float) -> None:
-    if not 0.0 < value < math.inf:
-        raise ValueError(f"{name}: found {value}, expected more than 0")
 
 
 # -- what readers see --------------------------------------------------------------------------------------------------
