@@ -7,6 +7,7 @@ of a frame acts in the next one. Without commands it publishes the prepared scen
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Received, Source
 from mast_zenoh.scenes import Recording, Scene
 from mast_zenoh.scenes.base import SteppedWorld, check_cars
+from mast_zenoh.scenes.cache import prepare
 from mast_zenoh.scenes.making.observe import FrameDetection, SweepCaster, World, lidar_visibility, most_seen
 from mast_zenoh.scenes.making.scanning import ScannedPoints, Scanner
 from mast_zenoh.wiring.model import subject_of
@@ -80,7 +82,9 @@ class WorldSimulator(Source):
         present = self.world.now()
         self.detection = FrameDetection(present, self.world.detector, context.seed)
         if self.points is not None:
-            self.scanner = Scanner(self.recording, self.points, context.seed, context.connected("sweep"))
+            undriven = prepare(self.scene, context.seed, len(self.recording), None)  # a twin's is as a run drove it
+            scanned = replace(undriven, agents=self.recording.agents)
+            self.scanner = Scanner(scanned, self.points, context.seed, context.connected("sweep"))
         if present.buildings:  # without them nobody knows what is free
             self.sweeps = [SweepCaster(agent, self.detection.walls) for agent in present.agents]
 
@@ -146,8 +150,9 @@ class WorldSimulator(Source):
                 if self.sweeps:
                     free = self.sweeps[row].sweep(present.truth, position, present.agent_rotation[0, row])
                 context.publish("sweep", {"free": free.astype(np.float64)}, subject=agent.name)
-        returned = most_seen(present, points, self.detection.walls)
-        if self.scanner is not None:
+        if self.scanner is None:
+            returned = most_seen(present, points, self.detection.walls)
+        else:
             agents = present.agent_position[0], present.agent_rotation[0], present.agent_velocity[0]
             returned = self.scanner.publish(frame, present.truth, *agents, context.publish)
         columns = ("id", "position", "velocity", "size", "yaw", "class_id")

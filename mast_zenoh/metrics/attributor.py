@@ -360,7 +360,11 @@ class Attributor:
         free = (false & (cause < 0) & self.last_evaluated).nonzero()[0]
         at = find((self.last_id[free], tracks.frame[free]), (self.truth.boxes.id, self.truth_frame))
         astray_m = np.linalg.norm(self.truth.boxes.position[at] - tracks.position[free], axis=1)
-        free = free[astray_m <= self.limits.astray_m]  # farther away, it is a track of something else
+        places = Places(tracks.frame[genuine], tracks.position[genuine])
+        row, _ = nearest(Places(tracks.frame[free], tracks.position[free]), places, self.limits.lie_m)
+        free = free[
+            (astray_m <= self.limits.astray_m) | (row < 0)
+        ]  # otherwise it follows what an agent reports wrongly
         since = tracks.period_start(false)[free]
         self._blame_hiding(self.last_id[free], tracks.frame[free], tracks.series[free], free, cause, by, since=since)
         return cause, by

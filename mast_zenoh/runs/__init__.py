@@ -7,6 +7,7 @@ evaluated    what the evaluator says about frames: outcomes, scores, changes
 recorded     the frames of a finished run, from its recording
 messages     recorded messages, decoded, and their states of objects as tables
 scans        recorded scans of lidars by frame, as their detectors received them
+spoofers     where the spoofers of lidars are, as their effects tell
 observability  which lies of a run an honest agent could have noticed
 live/        a passive observer of a running run, whose frames are the same
 routes       the estimate that is on each key of a wiring
