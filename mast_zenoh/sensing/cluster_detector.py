@@ -16,7 +16,7 @@ from mast_zenoh.arrays.checks import check
 from mast_zenoh.arrays.geometry import wrap_angle
 from mast_zenoh.arrays.states import CLASS_INDEX, Bools, Detections, Floats, Ints
 from mast_zenoh.kernels import kernel
-from mast_zenoh.sensing.ground import Millimetres, points_and_ground
+from mast_zenoh.sensing.ground import CLEARANCE_M, REACH_M, SLOPE, Millimetres, points_and_ground
 from mast_zenoh.sensing.point_detector import PointDetector
 from mast_zenoh.sensing.points import Points
 
@@ -282,10 +282,10 @@ class ClusterDetector(PointDetector):
     growth_m:    m, distance from the lidar for each cell of gap that is bridged
     """
 
-    reach_m: float = 100.0
+    reach_m: float = REACH_M
     min_points: int = 5
-    clearance_m: float = 0.25
-    slope: float = 0.06
+    clearance_m: float = CLEARANCE_M
+    slope: float = SLOPE
     cell_m: float = 0.35
     growth_m: float = 30.0
 
@@ -297,11 +297,11 @@ class ClusterDetector(PointDetector):
         check("0.2 to 2", cell_m=self.cell_m)
 
     def detect(self, points: Points) -> Detections:
-        points_mm, ground, reach = points_and_ground(points.position, self.reach_m, self.slope)
+        points_mm, ground = points_and_ground(points.position, self.reach_m, self.slope)
         body = round(1000 * self.clearance_m), _OVERHEAD
         cells = round(1000 * self.cell_m), round(1000 * self.growth_m)
         limits = self.min_points, _TALLEST, _MAY_BE_BELOW, _LONGEST
-        return boxes_of(*clusters_above(points_mm, ground, reach, body, *cells, limits))
+        return boxes_of(*clusters_above(points_mm, *ground, body, *cells, limits))
 
 
 def boxes_of(points: Millimetres, start: Ints, steepest: float) -> Detections:

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mast_zenoh.arrays.geometry import rotation_from_quaternion
-from mast_zenoh.sensing.cluster_detector import ClusterDetector
-from mast_zenoh.sensing.ground import points_and_ground
+from mast_zenoh.sensing.ground import CLEARANCE_M, points_and_ground
 from mast_zenoh.sensing.points import Points
 from mast_zenoh.sensing.raycast import SweepRays
 from mast_zenoh.sensing.sensors import LidarSensor
@@ -24,10 +23,9 @@ def swept(scan: Mapping[str, NDArray[Any]], lidar: LidarSensor) -> dict[str, NDA
 
     scan: the columns of a `points` message
     """
-    rays, usual, level = SweepRays.of(lidar), ClusterDetector(), rotation_from_quaternion(scan["level_rotation"])
-    upright = Points.from_columns(scan).turned(level).position
-    points_mm, ground, _ = points_and_ground(upright, usual.reach_m, usual.slope)
-    height = points_mm[:, 2] - ground.reshape(-1)[points_mm[:, 3]]
+    rays, level = SweepRays.of(lidar), rotation_from_quaternion(scan["level_rotation"])
+    points_mm, ground = points_and_ground(Points.from_columns(scan).turned(level).position)
+    height = points_mm[:, 2] - ground.z_mm.reshape(-1)[points_mm[:, 3]]
     x, y, z = (points_mm[:, :3] @ level).T / 1000.0
     plan = np.hypot(x, y)
     turned = (np.arctan2(y, x) - np.radians(lidar.azimuth_min_deg)) % (2.0 * np.pi)
@@ -36,7 +34,7 @@ def swept(scan: Mapping[str, NDArray[Any]], lidar: LidarSensor) -> dict[str, NDA
     band = raised * (rays.bands / np.radians(lidar.elevation_max_deg - lidar.elevation_min_deg))
     shape = rays.bands, rays.sectors
     cell = np.ravel_multi_index((band.astype(int), sector.astype(int)), shape, mode="clip")
-    distance, standing = np.hypot(plan, z), height > 1000.0 * usual.clearance_m
+    distance, standing = np.hypot(plan, z), height > 1000.0 * CLEARANCE_M
     free, nearest = np.zeros(shape), np.full(shape, np.inf)
     np.maximum.at(free.reshape(-1), cell[~standing], distance[~standing])
     np.minimum.at(nearest.reshape(-1), cell[standing], distance[standing])

@@ -5,15 +5,21 @@ Coordinates are rounded to whole millimetres, so sums and comparisons are exact.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.kernels import kernel
 from mast_zenoh.sensing.points import Singles
 
 #: Whole millimetres.
 Millimetres = NDArray[np.int32]
 
+#: m, largest x and y of points that are used; m a metre, how steep the ground may be against a plane; m above the
+#: ground: lower points are part of it.
+REACH_M, SLOPE, CLEARANCE_M = 100.0, 0.06, 0.25
 #: mm: a cell without points; farthest from the height of the lidar; side of the cells, each of level ground.
 _NONE, _DEPTH, _CELL = 1 << 30, 50_000, 2000
 #: mm: a point that is lower than its neighbours by more is not of the ground.
@@ -24,8 +30,23 @@ _UNSEEN_SLOPE = 0.01
 _STIFF = np.diag([0.0, 1e3, 1e3])
 
 
-def points_and_ground(position: Singles, reach_m: float, slope: float) -> tuple[Millimetres, Millimetres, int]:
-    """Points (m, 4) of a scan, x y z mm and cell; the ground (g, g) mm, z by cell, x first; and mm to the grid's ends.
+class Ground(NamedTuple):
+    """The ground around a lidar: z (g, g) mm of cells, x first, and mm from the lidar to the ends of the grid."""
+
+    z_mm: Millimetres
+    reach_mm: int
+
+    def height_of(self, position: Floats) -> Floats:
+        """(n,) m, of positions (n, 3) m above it; infinite beyond its ends, and without any points."""
+        place = np.floor((position[:, :2] * 1000.0 + self.reach_mm) / _CELL).astype(np.int64)
+        inside = ((place >= 0) & (place < len(self.z_mm))).all(axis=1)
+        row, column = np.where(inside, place.T, 0)
+        z_mm = self.z_mm[row, column]
+        return np.where(inside & (z_mm < _NONE // 2), position[:, 2] - z_mm / 1000.0, np.inf)
+
+
+def points_and_ground(position: Singles, reach_m: float = REACH_M, slope: float = SLOPE) -> tuple[Millimetres, Ground]:
+    """Points (m, 4) of a scan, x y z mm and cell, and the ground below them.
 
     position: (n, 3) m, z up; left out are those that are farther than `reach_m` in x or y, or are not numbers
     slope:    m a metre, how steep the ground may be against a plane
@@ -33,7 +54,7 @@ def points_and_ground(position: Singles, reach_m: float, slope: float) -> tuple[
     reach = int(np.ceil(reach_m * 1000 / _CELL)) * _CELL
     points, lowest = lowest_by_cell(np.asarray(position, np.float32), reach, _DEPTH, _CELL)
     plane, steps = _plane(lowest), (int(slope * _CELL), int(_UNSEEN_SLOPE * _CELL))
-    return points, ground_surface(_without_echoes(lowest, plane, slope), plane, *steps, _PIT), reach
+    return points, Ground(ground_surface(_without_echoes(lowest, plane, slope), plane, *steps, _PIT), reach)
 
 
 def _without_echoes(lowest: Millimetres, plane: Millimetres, slope: float) -> Millimetres:

@@ -1,5 +1,6 @@
 """What an interposer does to a scan is measured in points, and told as the objects that it makes and hides."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -107,6 +108,22 @@ def test_each_beam_is_unchanged_removed_or_inserted(data: st.DataObject) -> None
     removed, inserted = changed_points(before, scan)
     np.testing.assert_array_equal(removed, ~kept | moved)
     np.testing.assert_array_equal(inserted, moved[kept])
+
+
+def test_a_flat_plate_above_the_road_is_an_object() -> None:
+    ground = np.column_stack([*(each.ravel() for each in np.mgrid[5:30:0.5, -8:8:0.5]), np.full(1600, -1.8)])
+    plate = np.column_stack([*(each.ravel() for each in np.mgrid[10:14:0.2, 0:1.8:0.2]), np.full(180, -1.0)])
+    before = Points.joined([firings(ground), firings(WORLD, 5000)])
+    assert effects_of(before, Points.joined([before, firings(plate, 9000)]))[0][:2] == (INSERTED, 180)
+
+
+def test_beams_that_only_change_their_time_or_come_twice_are_unchanged() -> None:
+    before = firings(WORLD)
+    later = replace(before, time_s=np.nextafter(before.time_s, np.float32(np.inf)))
+    moved = replace(before, position=np.nextafter(before.position, np.float32(np.inf)))
+    twice = Points.joined([moved, moved.select(slice(0, 1))])
+    for after in (later, twice):
+        assert not any(rows.any() for rows in changed_points(before, after))
 
 
 def test_a_few_points_make_no_object() -> None:

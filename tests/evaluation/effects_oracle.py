@@ -1,6 +1,6 @@
 """The effects of interposers, by plain loops over their inputs and outputs.
 
-Shares no code with mast_zenoh.evaluation.effects.
+Shares no code with mast_zenoh.evaluation.effects, but the ground of a scan, which detectors measure.
 """
 
 import math
@@ -13,9 +13,12 @@ from observed_run import PERIOD_NS, Arrival, Decoded, ObservedRun, SentCopy
 
 from mast_zenoh.messages import codec
 from mast_zenoh.messages.schemas import SCHEMAS, Body, Message
+from mast_zenoh.sensing.ground import points_and_ground
+from mast_zenoh.sensing.points import Points
 from mast_zenoh.wiring.model import InterposedWire
 
 NAN3 = (math.nan, math.nan, math.nan)
+FAR = [1e9, 1e9, 1e9]
 #: Pose of an agent in a frame: position and rotation matrix.
 Poses = dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]
 Row = dict[str, Any]
@@ -180,12 +183,18 @@ def _of_scan(a: Body, b: Body, where: tuple[str, int], poses: Poses) -> Iterator
         }
         for body in (a, b)
     ]
+    _, ground = points_and_ground(Points.from_columns(a).turned(_turned(a["level_rotation"])).position)
     for effect, body, own, other in (("removed", a, *beams), ("inserted", b, *reversed(beams))):
-        places = [place for key, place in own.items() if key not in other or math.dist(place, other[key]) >= 0.3]
+        alone = [place for key, place in other.items() if key not in own]
+        places = [
+            place
+            for key, place in own.items()
+            if min(math.dist(place, there) for there in ([other[key]] if key in other else [*alone, FAR])) >= 0.3
+        ]
         level = _turned(body["level_rotation"])
         for group in _touching([level @ np.array(place) for place in places]):
             low, high = np.min(group, axis=0), np.max(group, axis=0)
-            if len(group) < 5 or high[2] - low[2] < 0.25:
+            if sum(height > 0.25 for height in ground.height_of(np.array(group))) < 5:
                 continue
             middle = tuple(_world(level.T @ ((low + high) / 2.0), body, where, poses))
             yield {"effect": effect, "before" if effect == "removed" else "after": middle}

@@ -21,6 +21,8 @@ from mast_zenoh.show.findings.causes import changed_for_nothing, culprit_names, 
 from mast_zenoh.show.findings.changes import DISPLACED, FALSE, IDENTITY, MISSED, largest_change, scored
 from mast_zenoh.wiring.model import peer_of
 
+#: m, on the ground, from a false object to the middle of the points of which it is made.
+_GATE_M = 3.0
 #: Lidar points with which an agent detects an object, as in `seen_by_others` of targets.parquet.
 _MIN_POINTS = 5
 
@@ -115,14 +117,17 @@ def made_of_points(run: Run, interposer: Interposer) -> list[Finding]:
     for estimator in (PICTURE, MISSION):
         false = (objects["estimator"] == estimator) & (objects["agent"] == run.ego) & (objects["cause"] == "inserted")
         false &= np.array([interposer.name in by.split("+") for by in objects["by"].tolist()], bool)
-        frames = np.unique(objects["frame"][false])
-        rows = inserted & np.isin(table["frame"], frames)
-        if rows.any():
-            points = float(table["points"][rows].sum()) / len(np.unique(table["frame"][rows]))
+        made = {}
+        for frame, x, y in zip(*(objects[name][false].tolist() for name in ("frame", "x", "y")), strict=True):
+            rows = np.flatnonzero(inserted & (table["frame"] == frame))
+            away = np.hypot(table["after_x"][rows] - x, table["after_y"][rows] - y)
+            if away.min(initial=np.inf) <= _GATE_M:
+                made[frame, x, y] = int(table["points"][rows[away.argmin()]])
+        if made:
+            frames = len({frame for frame, *_ in made})
             who = interposer.name, *interposer.agents[:1]
-            result.append(
-                Finding("made_of", who, value=round(points), other=len(frames), unit="points", where=estimator)
-            )
+            value = round(float(np.mean([*made.values()])))
+            result.append(Finding("made_of", who, value=value, other=frames, unit="points", where=estimator))
     return result
 
 

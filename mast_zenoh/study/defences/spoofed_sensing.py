@@ -57,36 +57,28 @@ class SpoofedSensing(Kind):
     def evaluate(run: Run, compromised: Sequence[str]) -> dict[str, Any]:
         """The part `defence` of a trial's metrics, of the frames from the attack's first change on.
 
-        frames:   their number;  landed: frames in which points were inserted or removed
-        points:   mean number of these points in a landed frame
-        detected: landed frames in which the victim detects what was inserted, or does not detect what was removed
+        frames:   their number, one each `period_s`;  landed: frames in which points were inserted or removed
+        points:   mean number of these points in a landed frame: inserted ones, if there are any
+        detected: landed frames in which the victim detects what was inserted, or does not detect an object from which
+                  points were removed and which it detected before the attack
         tracked, fused: frames in which the ego's own tracks, or its mission estimate, have an error that the attack
                   caused
         """
-        effects = from_arrow(run.attacks)
-        rows = np.flatnonzero((effects["message"] == "points") & (effects["points"] > 0))
-        inserted = "inserted" in effects["effect"][rows]
-        effect, when = ("inserted", "after") if inserted else ("removed", "before")
-        rows = rows[effects["effect"][rows] == effect]
-        place = np.stack([effects[f"{when}_x"], effects[f"{when}_y"]], axis=1)
-        landed = np.unique(effects["frame"][rows])
-        objects = from_arrow(run.objects)
+        effects, objects = from_arrow(run.attacks), from_arrow(run.objects)
+        points = (effects["message"] == "points") & (effects["points"] > 0)
+        effects = {name: column[points] for name, column in effects.items()}
+        landed = np.unique(effects["frame"])
         scored = np.unique(objects["frame"])
         after = scored[scored >= landed.min()] if len(landed) else scored[:0]
-        found = _detections(run, str(effects["wire"][rows[0]])) if len(rows) else {}
-        detected = 0
-        for frame in landed.tolist():
-            of_frame = rows[effects["frame"][rows] == frame]
-            most = of_frame[effects["points"][of_frame].argmax()]
-            near = np.linalg.norm(found.get(frame, np.zeros((0, 2))) - place[most], axis=1) <= _GATE_M
-            detected += bool(near.any()) == inserted
         caused = np.isin(objects["cause"], KINDS) & (objects["agent"] == run.ego) & np.isin(objects["frame"], after)
         links = {
             link: len(np.unique(objects["frame"][caused & (objects["estimator"] == estimator)]))
             for link, estimator in (("tracked", LOCAL), ("fused", MISSION))
         }
-        points = float(effects["points"][rows].sum() / len(landed)) if len(landed) else 0.0
-        return {"frames": len(after), "landed": len(landed), "points": points, "detected": detected, **links}
+        inserted = effects["effect"] == "inserted"
+        counted = effects["points"][inserted if inserted.any() else ~inserted].sum() / max(len(landed), 1)
+        of_frames = {"frames": len(after), "period_s": run.period_s, "landed": len(landed), "points": float(counted)}
+        return of_frames | {"detected": _changed_detections(run, effects, objects), **links}
 
     def measures(self, factors: Factors, outcome: TrialOutcome) -> dict[str, Any]:
         """What the table needs of one trial: shares of frames, points a scan, and what the car did."""
@@ -94,7 +86,7 @@ class SpoofedSensing(Kind):
         did = {"needless": driven["needless_brakes"], "collided": float(bool(driven["collisions"]))}
         if not factors["attack"]:
             return did
-        frames, landed = outcome.metrics["frames"] - round(factors["start_s"] * 10.0), part["landed"]
+        frames, landed = outcome.metrics["frames"] - round(factors["start_s"] / part["period_s"]), part["landed"]
         shares = {"landed": landed / frames, "detected": part["detected"] / landed if landed else 0.0}
         of_frames = part["frames"]
         shares |= {link: part[link] / of_frames if of_frames else 0.0 for link in ("tracked", "fused")}
@@ -166,6 +158,40 @@ def conclusion(table: Sequence[Row]) -> list[str]:
 def _broken(row: Row) -> str:
     """The first link of an attack that succeeds in less than half; empty: all do in half and more."""
     return next((link for link in LINKS if row[link].value < 0.5), "")
+
+
+def _changed_detections(run: Run, effects: Mapping[str, Any], objects: Mapping[str, Any]) -> int:
+    """In how many frames the victim detects what was inserted, or lacks an object that it detected before the attack.
+
+    effects: those on points;  objects: true ones and tracks, by frame
+    """
+    if not len(effects["frame"]):
+        return 0
+    found = _detections(run, str(effects["wire"][0]))
+    true = (objects["kind"] == "truth") & (objects["estimator"] == LOCAL) & (objects["agent"] == run.ego)
+    frames, ids = objects["frame"][true], objects["id"][true]
+    places = np.stack([objects["x"][true], objects["y"][true]], axis=1)
+    last = max((frame for frame in found if frame < effects["frame"].min()), default=-1)
+    known = ids[(frames == last) & (_away(places, found.get(last)) <= _GATE_M)]
+
+    def is_changed(frame: int) -> bool:
+        inserted, removed = (
+            np.stack([effects[f"{when}_{axis}"][rows] for axis in "xy"], axis=1)
+            for when, effect in (("after", "inserted"), ("before", "removed"))
+            for rows in [(effects["frame"] == frame) & (effects["effect"] == effect)]
+        )
+        lost = places[(frames == frame) & np.isin(ids, known)]
+        lost = lost[(_away(lost, removed) <= _GATE_M) & (_away(lost, found.get(frame)) > _GATE_M)]
+        return bool(len(lost)) or bool((_away(inserted, found.get(frame)) <= _GATE_M).any())
+
+    return sum(is_changed(frame) for frame in np.unique(effects["frame"]).tolist())
+
+
+def _away(places: Floats, others: Floats | None) -> Floats:
+    """(n,) m, from places (n, 2) to the nearest of others (m, 2); infinite without any."""
+    if others is None or not len(others):
+        return np.full(len(places), np.inf)
+    return np.asarray(np.linalg.norm(places[:, None] - others, axis=2).min(axis=1))
 
 
 def _detections(run: Run, wire: str) -> dict[int, Floats]:

@@ -26,7 +26,7 @@ def factors_of(attack: str, check: str = "") -> Factors:
 
 
 def trial(label: str, seed: int, needless: int, hits: int = 0, **part: float) -> Any:
-    measured = dict(frames=50, landed=60, points=190.0, detected=30, tracked=25, fused=20) | part
+    measured = dict(frames=50, period_s=0.1, landed=60, points=190.0, detected=30, tracked=25, fused=20) | part
     driven = {"ego": {"needless_brakes": needless, "collisions": [{}] * hits}}
     return outcome(label, "junction", seed, {"frames": 100, "defence": measured, "driven": driven})
 
