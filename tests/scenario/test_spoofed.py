@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import mast_zenoh as mast
+from mast_zenoh.launch import twin as unattacked
 from mast_zenoh.run_folder.recording.difference import compare
 from mast_zenoh.run_folder.tables import from_arrow
 
@@ -37,10 +38,10 @@ def test_false_objects_are_made_of_the_points_that_a_spoofer_inserted(spoofed: m
 def test_without_a_spoofer_nothing_is_false_because_of_it_and_the_car_drives_on(
     spoofed: mast.Run, tmp_path: Path
 ) -> None:
-    twin = mast.run(
-        "spoofed", out=tmp_path / "twin", frames=FRAMES, runtime="inproc", attack="none", n_infrastructure=1
-    )
+    settings = {name: value for name, value in SETTINGS.items() if name != "attack_start_s"}
+    twin = mast.run("spoofed", out=tmp_path / "twin", runtime="inproc", attack="none", **settings)
     assert not len(twin.attacks)
+    assert compare(twin.path, unattacked.of(spoofed.path)).first is None, "the same hedges, however the ego was driven"
     driven = [from_arrow(run.driven) for run in (twin, spoofed)]
     np.testing.assert_array_equal(*(each["x"][:20] for each in driven))
     assert driven[0]["speed_mps"][-1] > driven[1]["speed_mps"][-1] + 1.0, "the ego brakes for the phantom"
