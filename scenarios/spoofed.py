@@ -8,6 +8,8 @@ from driving import refuse_unused
 from driving import scenario as driving
 
 from mast_zenoh.attacks import Attack
+from mast_zenoh.config import plugins, registry
+from mast_zenoh.errors import ConfigurationError
 from mast_zenoh.sensing import PointCheck, PointDetector
 from mast_zenoh.sensing.clutter import Clutter
 from mast_zenoh.study.choices import parse_choices, resolve_choice
@@ -29,7 +31,7 @@ def scenario(
     attack="phantom",
     attack_start_s=None,
     victim="ego",
-    checks=(),
+    checks="none",
     detector="ClusterDetector",
     detected_by="detector",
     lidar="VLP-32C",
@@ -44,13 +46,14 @@ def scenario(
 ):
     """The ego of a generated junction is driven, and its lidar, or that of another agent, is spoofed.
 
-    attack: phantom, wall, removal or early_echo, all by a spoofer ahead of the lidar; a class, such as "Mirror",
-    FILE.py or FILE.py:CLASS; or a dict with one of these as `type`, and parameters; "none": no spoofer;
+    attack: phantom, wall, removal or early_echo, all by a spoofer ahead of the lidar; a class of an attack on points,
+    such as "Mirror", FILE.py or FILE.py:CLASS; or a dict with one of these as `type`, and parameters; none: no spoofer;
     attack_start_s: start of the attack, in scene time; None: as its class says, 4 s for those that come with mast;
     victim: the agent whose lidar it is;
-    checks: of detections against points, such as "OcclusionCheck", separated by commas: what they refuse is left out;
+    checks: of detections against points, such as "OcclusionCheck", FILE.py or FILE.py:CLASS, separated by commas, or
+    none: what they refuse is left out;
     detector: "ClusterDetector", FILE.py:CLASS or a dict; detected_by: detector (a node), agent or simulator;
-    lidar: a model of all agents, such as "VLP-32C"; None: their own; clutter: what stands beside roads, or None;
+    lidar: a model of all agents, such as "VLP-32C"; none: their own; clutter: what stands beside roads, or none;
     defence, veto, estimate: as for the scenario `driving`.
     """
     content = driving(
@@ -63,19 +66,36 @@ def scenario(
         n_mobile=n_mobile,
     )
     finds = resolve_choice(detector, PointDetector)
-    checks = [resolve_choice(check, PointCheck) for check in parse_choices(checks, "checks")]
+    checks = [resolve_choice(check, PointCheck) for check in parse_choices(checks, "checks") if check != "none"]
     if checks:
         finds = dict(type="CheckedDetector", detector=finds, checks=checks)
-    beside = None if clutter is None else resolve_choice(clutter, Clutter)
+    beside = None if is_none(clutter) else resolve_choice(clutter, Clutter)
+    lidar = None if is_none(lidar) else lidar
     points = dict(lidar=lidar, clutter=beside, detector=finds, detected_by=detected_by)
     content |= dict(name="spoofed", points=points)
-    if attack == "none":
+    if is_none(attack):
         refuse_unused("an attack", attack_start_s=attack_start_s)
         return content
-    attack = ATTACKS.get(attack, attack) if isinstance(attack, str) else attack
-    attack = ({} if attack_start_s is None else dict(start_s=attack_start_s)) | resolve_choice(attack, Attack)
+    attack = ({} if attack_start_s is None else dict(start_s=attack_start_s)) | attack_on_points(attack)
     maps = content["keyexpr"]
     return content | dict(
         adversaries=dict(spoofer_1=dict(type="Adversary", agent=victim, attack=attack)),
         keyexpr=maps | dict(rewrites=[*maps["rewrites"], "on_points.toml"]),
     )
+
+
+def is_none(choice):
+    """Whether a choice is None, as text or not."""
+    return str(choice).lower() == "none"
+
+
+def attack_on_points(attack):
+    """An attack as a dict. Raises ConfigurationError for a class that is unknown, or that changes no points."""
+    attack = resolve_choice(ATTACKS.get(attack, attack) if isinstance(attack, str) else attack, Attack)
+    name, classes = attack["type"], registry.known_types(Attack, attack["type"])
+    on_points = [known for known, cls in classes.items() if cls.forge_points is not Attack.forge_points]
+    if name not in classes:
+        raise plugins.not_found(f"attack: no attack named {name!r}", name, [*ATTACKS, *on_points])
+    if name not in on_points:
+        raise ConfigurationError(f"attack: {name} changes no points, expected one of {', '.join(on_points)}")
+    return attack

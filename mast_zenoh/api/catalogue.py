@@ -18,6 +18,7 @@ from typing import Any, overload
 from mast_zenoh import attacks, driving, fusion, integrity, links, metrics, scenes, sensing, tracking, v2x
 from mast_zenoh.config import bundle, loading, plugins, registry
 from mast_zenoh.config.registry import short_form
+from mast_zenoh.config.settings import unit_of_name
 from mast_zenoh.driving.following import IntelligentDriverModel
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.faults import Fault
@@ -28,25 +29,6 @@ from mast_zenoh.messages.schemas import BUILT_IN, Schema
 from mast_zenoh.metrics.measures import MEASURES
 from mast_zenoh.node import Node
 
-#: Units by the end of a parameter's name, longest first.
-_SUFFIXES = {
-    "_per_m2": "1/m²",
-    "_rad_s": "rad/s",
-    "_per_s": "1/s",
-    "bits_per_s": "bit/s",
-    "_mps2": "m/s²",
-    "_mps": "m/s",
-    "_mbps": "Mbit/s",
-    "_dbm": "dBm",
-    "_deg": "°",
-    "_rad": "rad",
-    "_hz": "Hz",
-    "_ms": "ms",
-    "_mb": "MB",
-    "_db": "dB",
-    "_s": "s",
-    "_m": "m",
-}
 #: A unit at the beginning of a description: `m, how far …`, `s of scene time`.
 _LEADING = re.compile(r"(?:\([^)]*\) )?(m/s²|m/s|rad|m|s|frames)(?=,| of scene time| until| without| for| to)")
 
@@ -117,11 +99,8 @@ def _parameter(parameter: inspect.Parameter, meaning: str, factory: Any) -> Para
 
 def unit_of(name: str, meaning: str) -> str:
     """The unit of a parameter, from its name's suffix or its description's beginning."""
-    for suffix in sorted(_SUFFIXES, key=len, reverse=True):
-        if name.endswith(suffix):
-            return _SUFFIXES[suffix]
     leading = _LEADING.match(meaning)
-    return leading[1] if leading else ""
+    return unit_of_name(name) or (leading[1] if leading else "")
 
 
 def _text(default: object) -> str:

@@ -40,6 +40,25 @@ KEYS = {
 LISTS = ("faults",)
 #: Alternative spellings of keys, from the paper's configuration listing.
 ALIASES = {"commandcenter": "command_center"}
+#: Units by the end of a parameter's name, longest first.
+_UNITS = {
+    "bits_per_s": "bit/s",
+    "_per_m2": "1/m²",
+    "_rad_s": "rad/s",
+    "_per_s": "1/s",
+    "_mps2": "m/s²",
+    "_mbps": "Mbit/s",
+    "_mps": "m/s",
+    "_dbm": "dBm",
+    "_deg": "°",
+    "_rad": "rad",
+    "_hz": "Hz",
+    "_ms": "ms",
+    "_mb": "MB",
+    "_db": "dB",
+    "_s": "s",
+    "_m": "m",
+}
 
 
 def split(
@@ -165,6 +184,11 @@ def literal(value: str) -> Any:
         return {"true": True, "false": False, "none": None}.get(value.lower(), value)
 
 
+def unit_of_name(name: str) -> str:
+    """The unit of a parameter, from the end of its name; "": it has none."""
+    return next((unit for suffix, unit in _UNITS.items() if name.endswith(suffix)), "")
+
+
 def _typed(value: str, default: Any, place: str) -> Any:
     """A setting in the type of its default."""
     if isinstance(default, str):
@@ -175,9 +199,12 @@ def _typed(value: str, default: Any, place: str) -> Any:
 def _checked(value: Any, default: Any, place: str, written: Any) -> Any:
     """Check that a value has the type of a parameter's default, and return it.
 
-    Any value is valid if the default is text or a class. If it is a list, one value is a list of one.
-    written: the value as the user wrote it
+    Any value is valid if the default is text or a class. If it is a list, one value is a list of one. If it is None,
+    text is refused where the name ends with a unit.
+    place: ends with the name;  written: the value as the user wrote it
     """
+    if default is None and isinstance(value, str) and (unit := unit_of_name(place)):
+        raise ConfigurationError(f"{place}: found {written!r}, expected a number, in {unit}")
     if default is None or default is inspect.Parameter.empty or isinstance(default, (str, type)):
         return value
     if isinstance(default, float) and type(value) is int:

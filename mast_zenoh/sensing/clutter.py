@@ -50,6 +50,8 @@ class StillObjects(NamedTuple):
 class Clutter:
     """Places still objects near what moves, along its ways, where they never touch it or a building.
 
+    Ways are those of the frames that are played, so runs of other lengths have other clutter.
+
     hedges, kerbs, signs, poles: how many, 0 to 1000; fewer where there is no room
     gap_m: m, at least, to what moves and to buildings
 

@@ -8,6 +8,7 @@ import pytest
 
 import mast_zenoh as mast
 from mast_zenoh.launch import twin as unattacked
+from mast_zenoh import scenario
 from mast_zenoh.run_folder.recording.difference import compare
 from mast_zenoh.run_folder.tables import from_arrow
 
@@ -50,7 +51,10 @@ def test_without_a_spoofer_nothing_is_false_because_of_it_and_the_car_drives_on(
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        (dict(attack="Phantom"), "Phantom"),
+        (dict(attack="phantm"), "attack: no attack named 'phantm'; did you mean 'phantom'"),
+        (dict(attack="CutIn"), "CutIn changes no points, expected one of HighFrequencyRemoval, .*, ForgedMesh"),
+        (dict(attack=dict(type="Slander")), "Slander changes no points"),
+        (dict(attack_start_s="2s"), "attack_start_s: found '2s', expected a number, in s"),
         (dict(checks="OclusionCheck"), "did you mean 'OcclusionCheck'"),
         (dict(detector="ClusterDetectr"), "did you mean 'ClusterDetector'"),
         (dict(victim="nobody"), "no agent 'nobody'"),
@@ -60,6 +64,23 @@ def test_without_a_spoofer_nothing_is_false_because_of_it_and_the_car_drives_on(
 def test_what_is_wrong_with_a_spoofed_scenario_is_named(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(mast.MastError, match=message):
         mast.run("spoofed", frames=2, runtime="inproc", **settings)
+
+
+def test_names_of_checks_are_separated_by_commas_and_none_stands_for_nothing() -> None:
+    _, content = scenario.load("spoofed", ["checks=ShadowCheck,OcclusionCheck", "lidar=None", "clutter=none"])
+    finds = dict(type="CheckedDetector", detector=dict(type="ClusterDetector"))
+    checks = [dict(type="ShadowCheck"), dict(type="OcclusionCheck")]
+    assert content["points"] == dict(
+        lidar=None, clutter=None, detector=finds | dict(checks=checks), detected_by="detector"
+    )
+    _, content = scenario.load("spoofed", ["checks=none", "attack=None"])
+    assert content["points"]["detector"] == dict(type="ClusterDetector")
+    assert "adversaries" not in content
+
+
+def test_the_list_of_scenarios_says_that_attacks_and_checks_may_be_in_files() -> None:
+    meanings = {parameter.name: parameter.meaning for parameter in mast.list("scenarios")["spoofed"].parameters}
+    assert all("FILE.py:CLASS" in meanings[name] for name in ("attack", "checks"))
 
 
 @pytest.mark.heavy
