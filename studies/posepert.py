@@ -37,15 +37,15 @@ PRESETS = dict(
 )
 
 
-def study(preset="full", cases="cut_in,leader", defences=None, covariance_factor=0.25, trials=None, frames=100, seed=0):
+def study(preset="full", cases="cut_in,leader", defences="", covariance_factor=0.25, trials=None, frames=100, seed=0):
     """Attacks in pairs with their twins: the same roads and seeds for all.
 
-    preset: quick or full; it sets all that is None;
+    preset: quick or full; it sets all that is None or empty;
     cases: cut_in, leader; defences: none, Cad, Made, PoseGuard, each at 5 % false alarms, or classes or files;
     covariance_factor: by which the attacker multiplies the covariances of what it shifts;
     trials: number of roads, a seed each; seed: the first one; frames: of each run.
     """
-    chosen = with_preset(PRESETS, **locals())
+    chosen = with_preset(PRESETS, **locals() | dict(defences=defences or None))
     runs = {}
     for case in words(cases):
         start_s, attacks = CASES[case]
@@ -62,7 +62,8 @@ def study(preset="full", cases="cut_in,leader", defences=None, covariance_factor
                     end_s=start_s + 0.1 * length,
                 )
                 attacked = dict(attack=attack, wire="tracks", compromised=["mobile_1"])
-                runs[f"{case}, {f'{length} frames {step_m:g} m' if length else 'no attack'}, {name}"] = dict(
+                lasts = "to the end" if length == 400 else f"{length} frames"
+                runs[f"{case}, {f'{lasts} {step_m:g} m' if length else 'no attack'}, {name}"] = dict(
                     scenario="driving",
                     parameters=common | (attacked if length else {}),
                     factors=dict(

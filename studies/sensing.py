@@ -36,7 +36,7 @@ def study(
     attacks=None,
     budgets=None,
     distances=None,
-    checks=None,
+    checks="",
     scenes=None,
     trials=None,
     start_s=4.0,
@@ -46,13 +46,14 @@ def study(
 ):
     """Attacks in pairs with their twins: the same junctions and seeds for all.
 
-    preset: quick, hour or full; it sets all that is None;
-    attacks: injection, wall, removal, early_echo; budgets, distances: how many of the values of each;
+    preset: quick, hour or full; it sets all that is None or empty;
+    attacks: injection, wall, removal, early_echo; budgets: how many of the values of each, the largest first;
+    distances: how many of the two, the nearest first;
     checks: of detections: none, OcclusionCheck, ShadowCheck, TemporalCheck, or classes or files of yours;
     scenes: separated by commas; trials: seeds; start_s: s of scene time of the attack; lidar: a model;
     frames: of each run; seed: the first one.
     """
-    chosen = with_preset(PRESETS, **locals())
+    chosen = with_preset(PRESETS, **locals() | dict(checks=checks or None))
     runs = {}
     for check in parse_choices(chosen["checks"], "checks"):
         refused = [] if check == "none" else [resolve_choice(check, PointCheck)]

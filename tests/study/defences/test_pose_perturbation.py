@@ -88,6 +88,12 @@ def test_the_presets_pair_each_attack_with_a_twin() -> None:
     assert {cell["defence"] for cell in cells} == {"", "Cad", "Made", "PoseGuard"}
     assert all(cell.but(frames=0, step_m=0.0) in cells for cell in cells)
     assert len(definition.load("posepert", ["preset=quick"]).factors) == 14
+    undefended = definition.load("posepert", ["defences=none", "cases=leader"]).factors
+    assert list(undefended) == [
+        "leader, no attack, none",
+        "leader, 40 frames 0.5 m, none",
+        "leader, to the end 0.5 m, none",
+    ]
 
 
 @pytest.mark.heavy

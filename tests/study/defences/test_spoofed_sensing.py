@@ -98,6 +98,9 @@ def test_the_preset_of_an_hour_has_four_attacks_three_budgets_two_checks_and_ten
     assert len(attacks) == 4 * 3 * 2
     assert len(hour.scenes) * hour.trials == 10
     assert len(definition.load("sensing", ["preset=quick"]).factors) == 4
+    assert {cell["check"] for cell in definition.load("sensing", ["checks=none"]).factors.values()} == {""}
+    one = definition.load("sensing", ["preset=quick", "budgets=1", "distances=1"])
+    assert "injection, 200 points, 8 m, none" in one.factors, "the largest budget, the nearest distance"
     with pytest.raises(ConfigurationError, match="did you mean 'injection'"):
         definition.load("sensing", ["attacks=injecton"])
 
