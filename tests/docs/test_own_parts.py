@@ -16,9 +16,11 @@ import pytest
 
 import mast_zenoh as mast
 from mast_zenoh import testing
+from mast_zenoh.arrays.states import Detections
 from mast_zenoh.config import loading
 from mast_zenoh.run_folder.tables import read_table
 from mast_zenoh.scenes.recording import Recording
+from mast_zenoh.sensing import Points
 
 pytestmark = pytest.mark.heavy
 
@@ -107,6 +109,18 @@ def test_the_integrity_stage_withholds_what_one_agent_reports_alone(play: Callab
     assert picture(run, "fp") < picture(undefended, "fp") - 1.0
     trust = run.trust.to_pylist()
     assert {row["mean"] for row in trust if row["agent"] == "infra_1"} == {0.25, 0.75}
+
+
+def test_every_second_point_is_removed_and_what_floats_is_refused(folder: Path) -> None:
+    file, out = str(folder / "thinned.py"), folder / "run of thinned.py"
+    run = mast.run("spoofed", frames=20, seed=3, attack=file, attack_start_s=1.0, checks=file, report=False, out=out)
+    assert "removed" in run.attacks["effect"].to_pylist()
+    assert min(run.attacks["frame"].to_pylist()) == 10
+    position = np.array([[9.0, 0.0, -1.0], [9.0, 4.0, 2.0]])
+    zero = np.zeros(2)
+    found = Detections(position, np.full((2, 3), 1.6), zero, zero, zero.astype(np.uint8), np.zeros((2, 3, 3)))
+    keep = loading.module(folder / "thinned.py").Grounded().keep(Points.of(np.array([[9.0, 2.0, -1.8]])), found)
+    assert keep.tolist() == [True, False]
 
 
 def test_the_scene_has_the_requested_number_of_cars(play: Callable[..., mast.Run]) -> None:
