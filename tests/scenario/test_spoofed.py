@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import mast_zenoh as mast
-from mast_zenoh.launch import twin as unattacked
 from mast_zenoh import scenario
+from mast_zenoh.launch import twin as unattacked
 from mast_zenoh.run_folder.recording.difference import compare
 from mast_zenoh.run_folder.tables import from_arrow
 
