@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from math import inf
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -61,8 +61,8 @@ class PointAttack(ObjectsUnchanged, Attack):
     """Base class of attacks on points, with or without a spoofer.
 
     A scan is attacked with the probability P(aim) x P(timing) x P(width covers), drawn for each scan, and if the
-    spoofer has sight of the lidar. Empty scans, and those with points that are not finite, stay as they are. So do
-    those without firing times, except under attacks that replace whole scans.
+    spoofer has sight of the lidar. Empty scans, and those with points that are not finite or without firing times, stay
+    as they are, except under attacks that replace whole scans.
 
     start_s: s of scene time at which it begins;  end_s: s of scene time at which it ends
     place:   where the spoofer is; None: behind the sensor, where the attack always works
@@ -73,6 +73,8 @@ class PointAttack(ObjectsUnchanged, Attack):
     end_s: float = inf
     place: Spoofer | None = None
     success: float = 1.0
+    #: Whether it replaces whole scans, whatever is in them.
+    whole: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check("0 or more, finite", start_s=self.start_s)
@@ -95,7 +97,8 @@ class PointAttack(ObjectsUnchanged, Attack):
         self._overhear(time_s, points)
         offset = None if self.place is None else self.place.position(time_s, lidar, self._surroundings) - lidar[0]
         across = self._speed_across(time_s, offset)
-        if not self.start_s <= time_s < self.end_s or not len(points) or not np.isfinite(points.position).all():
+        usable = self.whole or (len(points) > 0 and bool(np.isfinite(points.position).all()))
+        if not (self.start_s <= time_s < self.end_s and usable):
             return points
         random = stream(self._seed, self._surroundings.scene, self._name, "spoofer", frame)
         towards = np.array([1.0, 0.0, 0.0]) if offset is None else offset @ lidar[1]
@@ -109,10 +112,10 @@ class PointAttack(ObjectsUnchanged, Attack):
         return points
 
     def _speed_across(self, time_s: float, offset: Floats | None) -> float:
-        """m/s, of the lidar across the line of sight; offset: (3,) m, from the lidar to the spoofer"""
+        """m/s, of the lidar across the line of sight, inf: not known; offset: (3,) m, from the lidar to the spoofer"""
         before, self._sight = self._sight, None if offset is None else (time_s, offset)
         if before is None or offset is None or time_s <= before[0]:
-            return 0.0
+            return inf
         along = offset / max(float(np.linalg.norm(offset)), 1e-9)
         velocity = (offset - before[1]) / (time_s - before[0])
         return float(np.linalg.norm(velocity - (velocity @ along) * along))
@@ -256,6 +259,7 @@ class RelayedScan(PointAttack):
     record_s: s of scene time at which the recording begins;  length_s: s, of it; it ends at `start_s` at the latest
     """
 
+    whole: ClassVar[bool] = True
     record_s: float = 0.0
     length_s: float = 2.0
 
@@ -287,6 +291,7 @@ class DelayedScan(PointAttack):
     scans: how many; the oldest one so far if there are fewer
     """
 
+    whole: ClassVar[bool] = True
     scans: int = 1
 
     def __post_init__(self) -> None:

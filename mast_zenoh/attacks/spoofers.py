@@ -12,11 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mast_zenoh.arrays.checks import check
+from mast_zenoh.arrays.geometry import angles_of, wrap_angle
 from mast_zenoh.arrays.states import Floats
 from mast_zenoh.attacks.surroundings import Surroundings
 from mast_zenoh.sensing.points import Points
 
-#: rad; the beam nearest to a spoofer tells whether it has sight, if it is within this angle.
+#: rad; returns within this angle of a spoofer, in direction, azimuth or elevation, tell whether it has sight.
 _NEAR_RAD = np.radians(1.2)
 
 
@@ -31,7 +32,8 @@ class Spoofer(ABC):
     frames). The three numbers are fitted to these; nobody has published them.
 
     aim_deg: deg, rms of each component of the pointing error
-    lag_s:   s, age of the direction into which the spoofer points: 2.5, turned by hand; 0.02, with automatic tracking
+    lag_s:   s, age of the direction into which the spoofer points: 2.5, turned by hand; 0.02, with automatic tracking;
+             above 0, it misses the first scan, in which it does not know yet how the lidar moves
     spot_m:  m, radius of the spot of light that the lidar's receiver must be in
     body_m:  m, a return this near to the spoofer is from what carries it, and does not hide it
     """
@@ -54,18 +56,31 @@ class Spoofer(ABC):
         """
 
     def aim(self, distance_m: float, across_mps: float) -> float:
-        """P(aim), 0 to 1. across_mps: m/s, of the lidar across the line of sight, seen from the spoofer"""
-        square = (np.radians(self.aim_deg) * distance_m) ** 2 + (self.lag_s * across_mps) ** 2
+        """P(aim), 0 to 1. across_mps: m/s, of the lidar across the line of sight from the spoofer; inf: not known"""
+        lag_m = self.lag_s * across_mps if self.lag_s else 0.0
+        square = (np.radians(self.aim_deg) * distance_m) ** 2 + lag_m**2
         return float(-np.expm1(-0.5 * self.spot_m**2 / square)) if square > 0.0 else 1.0
 
     def in_sight(self, points: Points, towards: Floats) -> bool:
-        """Whether a scan, not empty, shows nothing in front of a spoofer at `towards` (3,) m, in the lidar's frame."""
+        """Whether a scan shows that a spoofer at `towards` (3,) m, in the lidar's frame, has sight of the lidar.
+
+        Its light reaches the receiver only from where beams look: some return at its azimuth, and it is neither above
+        nor below all returns and the horizon. The nearest beam does not return from before the spoofer; where none is
+        near, no beam above does.
+        """
+        (azimuth, elevation), (bearing, up) = map(angles_of, (points.position.astype(np.float64), towards))
+        beside = np.abs(wrap_angle(azimuth - bearing)) <= _NEAR_RAD
+        in_field = elevation.min(initial=0.0) - _NEAR_RAD <= up <= elevation.max(initial=0.0) + _NEAR_RAD
+        if not in_field or not beside.any():
+            return False
         distance = float(np.linalg.norm(towards))
         range_m = points.range_m()
         along = points.position @ (towards / max(distance, 1e-9)).astype(np.float32)
         cosine = along / np.maximum(range_m, 1e-6)
-        nearest = int(cosine.argmax())
-        return not (cosine[nearest] >= np.cos(_NEAR_RAD) and range_m[nearest] < distance - self.body_m)
+        nearest, before = int(cosine.argmax()), range_m < distance - self.body_m
+        if cosine[nearest] >= np.cos(_NEAR_RAD):
+            return not before[nearest]
+        return not (before & beside & (elevation > up - _NEAR_RAD)).any()
 
 
 @dataclass(frozen=True, kw_only=True)

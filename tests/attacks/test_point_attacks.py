@@ -130,6 +130,43 @@ def test_nothing_happens_without_sight_or_out_of_time_or_without_points() -> Non
         assert removal().forge_points(0, 0, scan, EMPTY.lidar(0.0)) is scan
 
 
+@pytest.mark.parametrize(
+    ("model", "wall_x", "x", "y", "z", "sight"),
+    [
+        ("HDL-64E", 60.0, 20.0, 0.0, 1.5, True),
+        ("VLP-16", None, 40.0, 0.0, 1.5, True),
+        ("AT128", None, 20.0, 20.0, 1.5, True),
+        ("AT128", None, 0.0, 20.0, 1.5, False),  # it looks 60 deg to each side
+        ("HDL-64E", 15.0, 30.0, 0.0, 4.5, False),  # behind a wall, above the highest beam
+        ("HDL-64E", 15.0, 40.0, 0.0, 12.0, False),
+        ("VLP-16", 15.0, 40.0, 0.0, 14.0, False),
+        ("VLP-16", 60.0, 3.0, 0.0, -3.0, False),  # below the ground
+        ("VLP-16", 60.0, 8.0, 0.0, -0.45, False),
+        ("VLP-32C", 60.0, 12.0, 0.0, -2.3, False),  # between two channels on the ground
+    ],
+)
+def test_a_spoofer_has_sight_only_from_where_beams_look_and_nothing_hides_it(
+    model: str, wall_x: float | None, x: float, y: float, z: float, sight: bool
+) -> None:
+    street, place = Street(np.zeros((0, 4)), model, wall_x=wall_x), spoofers.Roadside(x=x, y=y, z=z)
+    assert place.in_sight(street.points(), np.array([x, y, z - HEIGHT_M])) is sight
+
+
+def test_what_reaches_above_a_spoofer_hides_it_also_where_a_beam_returns_nothing() -> None:
+    behind, place = np.array([30.0, 0.0, 2.0]), spoofers.Roadside(x=0.0, y=0.0)
+    wall = Street(np.zeros((0, 4)), "VLP-16", wall_x=15.0).points()
+    window = np.linalg.norm(wall.position[:, 1:] - (0.0, 1.0), axis=1) < 0.6
+    assert not place.in_sight(wall.select(~window), behind)
+    assert not place.in_sight(Points.empty(), behind)
+
+
+def test_a_spoofer_turned_by_hand_misses_the_first_scan() -> None:
+    def place(lag_s: float) -> PointAttack:
+        return point_attacks.HighFrequencyRemoval(start_s=0.0, place=spoofers.Following(aim_deg=0.0, lag_s=lag_s))
+
+    assert [share(place(lag_s), EMPTY, 2) for lag_s in (2.5, 0.0)] == [0.5, 1.0]
+
+
 def test_the_same_seed_gives_the_same_scan_and_another_one_does_not() -> None:
     def scan(seed: int, name: str) -> Floats:
         attack = point_attacks.HighFrequencyRemoval(start_s=0.0, place=AHEAD)
@@ -222,6 +259,16 @@ def test_scans_are_replayed_and_delayed_as_a_whole() -> None:
         got.append([attack.forge_points(k, k * 100_000_000, scan, street.lidar(0.0)) for k, scan in enumerate(scans)])
     assert [scans.index(scan) for scan in got[0]] == [0, 0, 0, 1, 2, 3]
     assert [scans.index(scan) for scan in got[1]] == [0, 1, 2, 0, 1, 0]
+
+
+@pytest.mark.parametrize("position", [np.zeros((0, 3)), np.full((4, 3), np.nan)])
+def test_a_scan_that_no_beam_could_be_changed_in_is_replaced_all_the_same(position: Floats) -> None:
+    full, odd = EMPTY.points(), Points.of(position)
+    late, again = point_attacks.DelayedScan(start_s=0.0), point_attacks.RelayedScan(start_s=0.1)
+    for attack in (late, again):
+        attack.bind(1, "a")
+        got = [attack.forge_points(k, k * 100_000_000, scan, EMPTY.lidar(0.0)) for k, scan in enumerate((full, odd))]
+        assert got == [full, full]
 
 
 def test_a_mirror_hides_what_is_behind_it_and_shows_what_is_beside_the_road() -> None:
