@@ -24,6 +24,8 @@ from mast_zenoh.sensing.points import Points
 _TALLEST, _OVERHEAD = 4200, 4500
 #: mm: what has points overhead, as below a bridge or a tree, is not higher; what is longer is a wall or a hedge.
 _MAY_BE_BELOW, _LONGEST = 2600, 14_000
+#: Most clusters that are used.
+_CLUSTERS = 1000
 #: Tangent of the angle between two channels of common lidars.
 _CHANNEL = 0.007
 #: deg, between turns of a rectangle; of them, how many are skipped in a first search.
@@ -274,6 +276,8 @@ def turned_left(box: Rectangles, which: Bools) -> Rectangles:
 class ClusterDetector(PointDetector):
     """Finds road users as clusters of points above the ground, without any training.
 
+    Of more than 1,000 clusters, which only a forged scan has, it uses those with the most points: time is bounded.
+
     reach_m:     m, largest x and y of points that are used
     min_points:  least number of points of an object
     clearance_m: m, height up to which points belong to the ground
@@ -308,6 +312,10 @@ def boxes_of(points: Millimetres, start: Ints, steepest: float) -> Detections:
     """The detections of clusters, as `clusters_above` gives them; none of those that cannot be road users."""
     if not len(points):
         return Detections.empty()
+    if len(start) > _CLUSTERS + 1:
+        parts = np.split(points, start[1:-1])
+        parts = [parts[k] for k in np.sort(np.argsort(-np.diff(start), kind="stable")[:_CLUSTERS])]
+        points, start = np.concatenate(parts), np.cumsum([0, *map(len, parts)])
     box = joined(points, start, rectangles(points, start))
     kind = kinds_of(box)
     # What reaches up to the end of the view may be higher: flat pieces and corners of walls.

@@ -25,8 +25,8 @@ class PointDetector(ABC):
     def detect(self, points: Points) -> Detections:
         """The objects of one scan.
 
-        points: of the scan, in a frame with its origin at the lidar, z up, and x where the lidar faces; the ground is
-                below 0
+        points: of the scan, read-only, in a frame with its origin at the lidar, z up, and x where the lidar faces; the
+                ground is below 0
 
         Returns detections in the same frame: `position` (n, 3) m, the middle of the box; `yaw` (n,) rad,
         counter-clockwise from x; `score` 0 to 1; `covariance` (n, 3, 3) m², of the position, all zero: not known.
@@ -40,21 +40,35 @@ class NoDetections(PointDetector):
         return Detections.empty()
 
 
+#: Shape of a row and largest number, in SI units, of columns of detections: messages allow it in turned axes, too.
+_COLUMNS = {
+    "position": ((3,), 1e8),
+    "size": ((3,), 1e3),
+    "yaw": ((), 1e8),
+    "score": ((), 1e8),
+    "covariance": ((3, 3), 1e8),
+}
+
+
 def problem_of(found: object) -> str:
     """What is wrong with what a detector returned; empty: nothing."""
     if not isinstance(found, Detections):
         return f"returned {type(found).__name__}, expected Detections"
     n = len(found)
-    for name, shape in (("position", (3,)), ("size", (3,)), ("yaw", ()), ("score", ()), ("covariance", (3, 3))):
+    for name, (shape, most) in _COLUMNS.items():
         values = getattr(found, name)
         if not isinstance(values, np.ndarray) or values.shape != (n, *shape):
             return f"{name} has the shape {np.shape(values)}, expected {(n, *shape)}"
         if not np.isfinite(values).all():
             return f"{name} has a number that is not finite"
+        if n and np.abs(values).max() > most:
+            return f"{name} has the number {values.flat[np.abs(values).argmax()]:g}, expected at most {most:g}"
     if n and not 0.0 <= found.score.min() <= found.score.max() <= 1.0:
         return f"score {found.score.min():g} to {found.score.max():g}, expected 0 to 1"
     if n and not found.size.min() > 0.0:
         return f"size {found.size.min():g} m, expected more than 0"
+    if n and (variance := np.diagonal(found.covariance, axis1=1, axis2=2)).min() < 0.0:
+        return f"covariance with the variance {variance.min():g} m², expected 0 or more"
     if np.shape(found.class_id) != (n,) or (n and int(np.max(found.class_id)) >= len(CLASSES)):
         return f"class_id: expected {n} indices below {len(CLASSES)}"
     return ""
@@ -66,7 +80,7 @@ def detected(detector: PointDetector, scan: Mapping[str, NDArray[Any]]) -> dict[
     scan: the columns of a `points` message. Raises ValueError for detections that cannot be.
     """
     level = rotation_from_quaternion(scan["level_rotation"])
-    found = detector.detect(Points.from_columns(scan).turned(level))
+    found = detector.detect(Points.from_columns(scan).turned(level).read_only())
     if problem := problem_of(found):
         raise ValueError(f"{type(detector).__name__}.detect: {problem}")
     own = found.columns() | {"position": found.position @ level, "covariance": level.T @ found.covariance @ level}

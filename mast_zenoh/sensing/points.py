@@ -65,6 +65,13 @@ class Points:
         """The points selected by a mask, an index array or a slice."""
         return Points(*(getattr(self, each.name)[rows] for each in fields(self)))
 
+    def read_only(self) -> Points:
+        """The same points, whose columns cannot be written to."""
+        points = self.select(slice(None))
+        for column in points.columns().values():
+            column.flags.writeable = False
+        return points
+
     def turned(self, rotation: Floats) -> Points:
         """The same points in axes to which `rotation` (3, 3) turns from those that they are in."""
         return replace(self, position=self.position @ rotation.T.astype(np.float32))

@@ -12,7 +12,7 @@ from mast_zenoh.arrays.states import Detections
 from mast_zenoh.attacks import Attack
 from mast_zenoh.attacks.attack import ObjectsUnchanged
 from mast_zenoh.config.resolved import Resolved
-from mast_zenoh.errors import ConfigurationError
+from mast_zenoh.errors import ConfigurationError, NodeDied
 from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.run_folder.recording.reader import read
@@ -52,6 +52,21 @@ class Blinded(ObjectsUnchanged, Attack):
         assert lidar[0].shape == (3,)
         assert lidar[1].shape == (3, 3)
         return points.select(slice(0, 0)) if frame % 2 else points
+
+
+class Copied(ObjectsUnchanged, Attack):
+    """Returns the same points in other arrays, of other types."""
+
+    def forge_points(self, frame: int, time_ns: int, points: Points, lidar: Any) -> Points:
+        return Points(*(column.astype(np.float64) for column in points.columns().values()))  # type: ignore[arg-type]
+
+
+class Careless(PointDetector):
+    """Writes into the points that it gets."""
+
+    def detect(self, points: Points) -> Detections:
+        points.intensity[:] = 0.0
+        return Detections.empty()
 
 
 def resolved(frames: int = FRAMES, name: str = "baseline", record: bool = False, **points: Any) -> Resolved:
@@ -163,6 +178,30 @@ def test_an_adversary_sits_between_lidar_and_detector() -> None:
         == Run(resolved(clutter=dict(type="Clutter"))).messages["agent/infra_1/points"]
     )
     assert not run.failures
+
+
+def test_an_attack_that_returns_equal_points_is_reported_as_no_change() -> None:
+    def edit(content: dict[str, Any]) -> None:
+        content["points"] = dict(detector=dict(type="Everything"), lidar="VLP-16", clutter=None)
+        content["adversaries"] = dict(spoofer_1=dict(type="Adversary", agent="ego", attack=dict(type="Copied")))
+        content["keyexpr"] = dict(map="testbed.toml", rewrites=["on_points.toml"])
+
+    run = Run(tiny(frames=2, edit=edit))
+    assert not run.failures
+    assert not [key for key, sent in run.messages.items() if "report" in key and sent]
+    assert run.messages["agent/ego/points"] == Run(resolved(frames=2)).messages["agent/ego/points"]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_no_detector_can_write_into_the_points_that_it_gets(place: str) -> None:
+    world = resolved(frames=1, detector=dict(type="Careless"), detected_by=place)
+    if place == "simulator":
+        with pytest.raises(NodeDied, match="read-only"):
+            Run(world)
+    else:
+        failed = [failure["detect"].exception for failure in Run(world).failures.values()]
+        assert len(failed) == len(AGENTS)
+        assert all("read-only" in each for each in failed)
 
 
 @pytest.mark.parametrize("place", ["detector", "agent"])

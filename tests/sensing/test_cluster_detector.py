@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -171,6 +173,41 @@ def test_random_clouds_give_valid_detections(seed: int, spread: float, count: in
     found = ClusterDetector(min_points=1).detect(Points.of(cloud))
     assert not problem_of(found)
     assert (np.linalg.eigvalsh(found.covariance) > 0.0).all()
+
+
+def test_of_very_many_clusters_those_with_the_most_points_are_used() -> None:
+    draw, height = np.random.default_rng(1), np.linspace(-1.8, -0.1, 18)
+    spots = np.stack(np.meshgrid(np.arange(-26.0, 26.0, 1.3), np.arange(-26.0, 26.0, 1.3)), axis=-1).reshape(-1, 2)
+    persons = [
+        np.column_stack([spot + draw.uniform(-0.2, 0.2, (3 * 18, 2)), np.tile(height, 3)])
+        for spot in spots[np.hypot(*spots.T) > 4.0]
+    ]
+    assert len(persons) > 1500
+    dense = [np.concatenate([person, person + 0.01]) for person in persons[::30]]
+    points = Points.of(np.concatenate([*persons, *dense]))
+    found = ClusterDetector().detect(points)
+    assert 0 < len(found) <= 1000
+    alone = ClusterDetector().detect(Points.of(np.concatenate([*persons[::30], *dense])))
+    assert len(alone) == len(dense)
+    assert all(nearest(found, *place)[1] < 0.05 for place in alone.position[:, :2])
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        ("position", 1e300, r"position has the number 1e\+300, expected at most 1e\+08"),
+        ("position", -1e9, "position has the number -1e"),
+        ("size", 1001.0, "size has the number 1001, expected at most 1000"),
+        ("yaw", 1e9, "yaw has the number 1e"),
+        ("covariance", -0.1, "covariance with the variance -0.1 m², expected 0 or more"),
+        ("covariance", 1e12, "covariance has the number 1e"),
+    ],
+)
+def test_detections_that_no_message_can_hold_are_named(column: str, value: float, message: str) -> None:
+    found = ClusterDetector().detect(scanned(("car", 12.0, 3.0, 0.3)))
+    assert not problem_of(found)
+    getattr(found, column)[:] = value
+    assert re.match(message, problem_of(found))
 
 
 def test_points_that_are_not_numbers_are_left_out() -> None:
