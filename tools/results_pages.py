@@ -221,8 +221,15 @@ PAGES = (
                 figure="sensing",
                 table="Links of the chain",
             ),
+        ),
+    ),
+    Page(
+        "posepert",
+        "Perturbed poses",
+        "What do perturbed poses do to a car, beside what PosePert and its authors' repetition report?",
+        (
             Part(
-                "Perturbed poses, beside PosePert",
+                "Theirs and ours",
                 "posepert",
                 full=dict(preset="full"),
                 quick=dict(preset="quick", defences="none", trials=5),
