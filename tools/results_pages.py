@@ -209,21 +209,6 @@ PAGES = (
         ),
     ),
     Page(
-        "sensing",
-        "How far attacks on a lidar get",
-        "Which attacks on the points of a lidar reach the brake, and which on what is detected in them?",
-        (
-            Part(
-                "From a spoofer's pulses to the brake",
-                "sensing",
-                full=dict(preset="hour"),
-                quick=dict(preset="quick", trials=5),
-                figure="sensing",
-                table="Links of the chain",
-            ),
-        ),
-    ),
-    Page(
         "posepert",
         "Perturbed poses",
         "What do perturbed poses do to a car, beside what PosePert and its authors' repetition report?",
