@@ -351,20 +351,18 @@ class Attributor:
         self._extend_causes(extended & local, cause, by)
         # What an agent itself reports wrongly, by no manipulation, is in the other estimates without them too.
         genuine = (false & local & (cause < 0)).nonzero()[0]
+        reported = Places(tracks.frame[genuine], tracks.position[genuine])
         others = (~local & (cause >= 0)).nonzero()[0]
-        places = Places(tracks.frame[others], tracks.position[others])
-        row, _ = nearest(places, Places(tracks.frame[genuine], tracks.position[genuine]), self.limits.lie_m)
+        row, _ = nearest(Places(tracks.frame[others], tracks.position[others]), reported, self.limits.lie_m)
         cause[others[row >= 0]], by[others[row >= 0]] = UNKNOWN, False
         self._extend_causes(extended & ~local, cause, by)
         # A track of a real object becomes inaccurate while that object is hidden, moved or altered, if it is there.
         free = (false & (cause < 0) & self.last_evaluated).nonzero()[0]
         at = find((self.last_id[free], tracks.frame[free]), (self.truth.boxes.id, self.truth_frame))
         astray_m = np.linalg.norm(self.truth.boxes.position[at] - tracks.position[free], axis=1)
-        places = Places(tracks.frame[genuine], tracks.position[genuine])
-        row, _ = nearest(Places(tracks.frame[free], tracks.position[free]), places, self.limits.lie_m)
-        free = free[
-            (astray_m <= self.limits.astray_m) | (row < 0)
-        ]  # otherwise it follows what an agent reports wrongly
+        row, _ = nearest(Places(tracks.frame[free], tracks.position[free]), reported, self.limits.lie_m)
+        # Far from that object, a track is of what an agent reports wrongly, if one does.
+        free = free[(astray_m <= self.limits.astray_m) | (row < 0)]
         since = tracks.period_start(false)[free]
         self._blame_hiding(self.last_id[free], tracks.frame[free], tracks.series[free], free, cause, by, since=since)
         return cause, by

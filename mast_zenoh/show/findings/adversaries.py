@@ -113,20 +113,17 @@ def made_of_points(run: Run, interposer: Interposer) -> list[Finding]:
     if table is None or objects is None or not interposer.points.get("inserted"):
         return []
     inserted = (table["interposer"] == interposer.name) & (table["effect"] == "inserted") & (table["points"] > 0)
-    result = []
+    shown, result = _places_of(rows(table, inserted), "after_"), []
     for estimator in (PICTURE, MISSION):
         false = (objects["estimator"] == estimator) & (objects["agent"] == run.ego) & (objects["cause"] == "inserted")
         false &= np.array([interposer.name in by.split("+") for by in objects["by"].tolist()], bool)
-        made = {}
-        for frame, x, y in zip(*(objects[name][false].tolist() for name in ("frame", "x", "y")), strict=True):
-            rows = np.flatnonzero(inserted & (table["frame"] == frame))
-            away = np.hypot(table["after_x"][rows] - x, table["after_y"][rows] - y)
-            if away.min(initial=np.inf) <= _GATE_M:
-                made[frame, x, y] = int(table["points"][rows[away.argmin()]])
-        if made:
-            frames = len({frame for frame, *_ in made})
+        tracks = _places_of(rows(objects, false))
+        row, _ = nearest(tracks, shown, _GATE_M)
+        made = table["points"][inserted][row[row >= 0]]
+        if len(made):
+            frames = len(np.unique(tracks.group[row >= 0]))
             who = interposer.name, *interposer.agents[:1]
-            value = round(float(np.mean([*made.values()])))
+            value = round(float(made.mean()))
             result.append(Finding("made_of", who, value=value, other=frames, unit="points", where=estimator))
     return result
 
@@ -318,6 +315,6 @@ def _on_real_objects(run: Run, targets: Table) -> float:
     return float((nearest(_places_of(targets), _places_of(truth), run.gate_m)[0] >= 0).mean())
 
 
-def _places_of(table: Table) -> Places:
-    level = np.zeros(len(table["frame"]))
-    return Places(table["frame"], np.stack([column(table, "x"), column(table, "y"), level], axis=1))
+def _places_of(table: Table, prefix: str = "") -> Places:
+    x, y = (column(table, f"{prefix}{axis}") for axis in "xy")
+    return Places(table["frame"], np.stack([x, y, np.zeros(len(x))], axis=1))
