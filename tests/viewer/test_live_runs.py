@@ -1,12 +1,15 @@
 """A running run is measured, shown and sent to other viewers frame by frame, as it is after its end."""
 
 import threading
+from collections import deque
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+import zenoh
 from recorded_observer import NUMBERS, RecordedObserver
 
 import mast_zenoh as mast
@@ -20,7 +23,7 @@ from mast_zenoh.run_folder.tables import from_arrow, read_table
 from mast_zenoh.runs.frame import Frame
 from mast_zenoh.runs.live.measurement import FrameMeter, seen
 from mast_zenoh.runs.live.observer import Observer
-from mast_zenoh.runs.live.reception import LegState, Sample, WireMeter
+from mast_zenoh.runs.live.reception import KEPT, LegState, Sample, WireMeter
 from mast_zenoh.runs.recorded import frames_of, open_recorded
 from mast_zenoh.show.page.live_server import LASTING, LiveBlocks
 from mast_zenoh.wiring.model import Wiring
@@ -200,3 +203,50 @@ def test_loss_and_lag_are_of_the_steps_that_both_legs_can_have(wiring: Wiring) -
     for _ in range(5):
         blocked = second_leg(209, [204, 205, 206, 207], [])
     assert (blocked.lost, blocked.lag) == (1.0, None), "a wire that is blocked"
+
+
+class FallingBehind:
+    """A session of Zenoh whose own thread receives frames of a recording, also while Python takes them key by key.
+
+    arrivals: frames that arrive, the last ones when the poses of an agent are taken next
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.rings: dict[str, deque[Any]] = {}
+        self.late: list[int] = []
+        self._messages = [*read(folder)]
+
+    def liveliness(self) -> Any:
+        return MagicMock()
+
+    def declare_subscriber(self, key: str, _: Any) -> Any:
+        name = key.removeprefix(prefix("run-1") + "/")
+        self.rings[name] = deque(maxlen=KEPT)
+        return SimpleNamespace(handler=SimpleNamespace(try_recv=lambda: self.taken(name)))
+
+    def arrive(self, *frames: int) -> None:
+        for message in self._messages:
+            if message.frame in frames and message.key in self.rings:
+                mark = zenoh.ZBytes(stamp(message.key, 0, message.step))
+                self.rings[message.key].append(SimpleNamespace(attachment=mark, payload=zenoh.ZBytes(message.payload)))
+
+    def taken(self, key: str) -> Any:
+        if key == "agent/infra_1/pose" and self.late:
+            frames, self.late = self.late, []
+            self.arrive(*frames)
+        return self.rings[key].popleft() if self.rings[key] else None
+
+
+def test_frames_of_which_messages_were_dropped_while_others_were_taken_are_not_shown(recorded: mast.Run) -> None:
+    of_recording: Any = RecordedObserver(recorded.path)
+    run: Any = SimpleNamespace(**vars(of_recording.address), roles=of_recording.roles, credentials="none")
+    run.current_wiring = lambda session: None
+    session: Any = FallingBehind(recorded.path)
+    observer = Observer(run, session)
+    session.arrive(*range(4))
+    assert observer.advance() is None, "the subscription is new"
+    session.arrive(*range(4, 12))
+    session.late = [*range(12, 30)]
+    frame = observer.advance()
+    assert frame is not None
+    assert frame.bodies.keys() == {each.index: each for each in frames_of(recorded)}[frame.index].bodies.keys()

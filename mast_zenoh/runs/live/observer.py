@@ -37,6 +37,10 @@ _PROCESSOR_SHARE = {"lockstep": 0.03, "realtime": 0.3}
 POLL_S, EVERY_POLL_S = 0.05, 0.01
 #: Frames behind the clock: by then, the messages about a frame have arrived.
 _BEHIND = 2
+#: Frames by which other keys can be ahead of the clock, which is taken first: with more, this process waited for a
+#: processor meanwhile, and messages about the frames at the clock may have been dropped, so that it takes later ones,
+#: some times at most, as anybody may forge a step on an open mesh.
+_LEAD, _POLLS_AT_MOST = KEPT // 2, 5
 #: s without a clock after which the last frame is taken if nothing of it is missing: the run has paused or ended.
 _SILENCE_S = 0.5
 #: Longest wait after a subscription for the keys on which nothing comes, s from the first clock on. On a busy machine,
@@ -250,6 +254,10 @@ class Observer:
         """Follow changes of the run without measuring frames; returns what has arrived."""
         self._take_updates()
         arrived = self._reception.poll()
+        for _ in range(_POLLS_AT_MOST):
+            if self._reception.lead(self.clock_key) <= _LEAD:
+                break
+            arrived += self._reception.poll()
         newest = self._reception.newest_step(self.clock_key)
         if newest != self._newest:
             self._newest, self._since = newest, time.monotonic()
@@ -343,7 +351,8 @@ class Observer:
     def _subscribe(self) -> None:
         self._incomplete = self._settling_until = None
         self._silent = {key for key in self._silent if self._reception.newest_step(key) < 0}
-        self._reception.subscribe(self.types if self._receiving else [self.clock_key])
+        keys = self.types if self._receiving else [self.clock_key]
+        self._reception.subscribe(sorted(keys, key=lambda key: key != self.clock_key))  # messages of a key are taken so
         if self._receiving:  # wait until the router knows: it takes what a session sends in order
             for _ in self.session.liveliness().get(f"{self._base}/alive/*", timeout=_ROUTER_S):
                 pass

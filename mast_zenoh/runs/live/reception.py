@@ -87,6 +87,10 @@ class Reception:
         kept = self._kept.get(key)
         return kept[-1][0] if kept else -1
 
+    def lead(self, key: str) -> int:
+        """By how many steps the newest message of any key is ahead of this key's newest one; 0: it is of this key."""
+        return max(map(self.newest_step, self._kept), default=-1) - self.newest_step(key)
+
     def steps(self, key: str) -> list[int]:
         """The steps of the kept messages of a key, the oldest first."""
         return [step for step, _ in self._kept.get(key, ())]
