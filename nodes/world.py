@@ -7,7 +7,6 @@ of a frame acts in the next one. Without commands it publishes the prepared scen
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from mast_zenoh.messages.schemas import text
 from mast_zenoh.node import Context, Received, Source
 from mast_zenoh.scenes import Recording, Scene
 from mast_zenoh.scenes.base import SteppedWorld, check_cars
-from mast_zenoh.scenes.cache import prepare
 from mast_zenoh.scenes.making.observe import FrameDetection, SweepCaster, World, lidar_visibility, most_seen
 from mast_zenoh.scenes.making.scanning import ScannedPoints, Scanner
 from mast_zenoh.wiring.model import subject_of
@@ -82,9 +80,7 @@ class WorldSimulator(Source):
         present = self.world.now()
         self.detection = FrameDetection(present, self.world.detector, context.seed)
         if self.points is not None:
-            undriven = prepare(self.scene, context.seed, len(self.recording), None)  # a twin's is as a run drove it
-            scanned = replace(undriven, agents=self.recording.agents)
-            self.scanner = Scanner(scanned, self.points, context.seed, context.connected("sweep"))
+            self.scanner = Scanner(self.recording, self.points, context.seed, context.connected("sweep"))
         if present.buildings:  # without them nobody knows what is free
             self.sweeps = [SweepCaster(agent, self.detection.walls) for agent in present.agents]
 

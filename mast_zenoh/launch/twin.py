@@ -12,12 +12,15 @@ from typing import Any
 from rich.console import Console
 
 from mast_zenoh import version
+from mast_zenoh.config import registry
 from mast_zenoh.config.loading import SHIPPED, AllowedCode
 from mast_zenoh.config.resolved import RECORDING, Resolved
 from mast_zenoh.errors import HandlerFailed, MastError, NotComparable, UntrustedCode
 from mast_zenoh.launch import run
 from mast_zenoh.run_folder import json_or_empty, write_json
 from mast_zenoh.run_folder.recording.writer import MessageLog
+from mast_zenoh.scenes import Scene
+from mast_zenoh.scenes.cache import prepare
 from mast_zenoh.scenes.recording import Recording
 from mast_zenoh.wiring import insertion
 from mast_zenoh.wiring.model import Wiring
@@ -80,7 +83,7 @@ def of(run_folder: Path, console: Console | None = None, allowed: AllowedCode = 
             "faults: run the scenario without adversaries yourself, and name that folder with --against"
         )
     try:
-        ended = run.run(replace(twin, network={}), folder, runtime="inproc", console=console)
+        ended = run.run(_undriven(replace(twin, network={})), folder, runtime="inproc", console=console)
     except MastError as error:
         raise NotComparable(f"the unattacked twin of {run_folder} cannot be played: {error}") from error
     if ended.error and not isinstance(ended.error, HandlerFailed):
@@ -113,6 +116,20 @@ def _read(run_folder: Path, allowed: AllowedCode) -> Resolved:
         ) from None
     twin.load_modules()
     return twin
+
+
+def _undriven(twin: Resolved) -> Resolved:
+    """The twin of a driven run with its scene prepared anew: what stands beside its roads keeps clear of its cars.
+
+    The run's recording has become what happened in it.
+    """
+    happened = twin.recording
+    scenes = [spec.config["scene"] for spec in twin.nodes.values() if "scene" in spec.config]
+    if happened is None or not scenes:
+        return twin
+    scene: Scene = registry.build(scenes[0], Scene, "scenario.json: scene")
+    prepared = replace(prepare(scene, twin.seed, len(happened), None), agents=happened.agents)
+    return replace(twin.with_values(lambda value: prepared if value is happened else value), recording=prepared)
 
 
 def _is_played(folder: Path, twin: Resolved) -> bool:
