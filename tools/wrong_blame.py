@@ -1,7 +1,6 @@
 """Measures how often errors are attributed wrongly, against paired twins of the same scene and seed.
 
     .venv/bin/python tools/wrong_blame.py [--scenes SCENE ...] [--seeds SEED ...] [--frames N] [--cells NAME ...]
-                                          [--keep FOLDER]
 
 Each cell is a pair of runs that differ in one thing: an attack, a fault or a defence. An error of the first run (of the
 pictures of all agents) exists in the second one too if the same object is missed there in the same frame, or if a false
@@ -9,20 +8,15 @@ track is within 2 m, in this frame or at most two frames away (each for one). It
 
     present   errors that exist in the twin too, and the share of them that is blamed on what the twin lacks
     new       errors that do not, and the share of them that is blamed on it
-
-With --keep, what the evaluator collected is kept in FOLDER, to measure the same runs again after a change of rules.
 """
 
 from __future__ import annotations
 
 import argparse
-import pickle
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from hashlib import blake2b
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,7 +24,6 @@ import numpy as np
 from mast_zenoh import scenario
 from mast_zenoh.arrays.matching import greedy_matching
 from mast_zenoh.arrays.states import Bools
-from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.metrics.assignment import Places, centre_distance, pairs_within
 from mast_zenoh.metrics.causes import ATTACK_CAUSES, FAULT_CAUSES
@@ -104,37 +97,20 @@ def objects(side: tuple[str, dict[str, Any], dict[str, Any] | None], where: Wher
         nodes = [agent for agent in agents_of(content["scene"]) if agent != "ego"][:2]
         content = content | {"faults": [{"at": AT_S, "nodes": nodes} | fault]}
     resolved = scenario.resolve(path, content, seed=where.seed, frames=where.frames)
-    node = _played(resolved, where.keep)
+    process = InProcess(resolved)
+    process.run()
+    node = next(host.node for host in process.hosts.values() if host.node.role == "evaluator")
     table: Mapping[str, Any] = node.scoring.results()["tables"]["objects"]
     return table
 
 
 @dataclass(frozen=True)
 class Where:
-    """A scene (a short name, or a dict), a seed, the number of frames, and the folder for what evaluators collected."""
+    """A scene (a short name, or a dict), a seed, and the number of frames."""
 
     scene: str | dict[str, Any]
     seed: int
     frames: int
-    keep: Path | None
-
-
-def _played(resolved: Resolved, keep: Path | None) -> Any:
-    """The evaluator at the end of a run."""
-    digest = blake2b(repr(replace(resolved, recording=None).to_json()).encode(), digest_size=10).hexdigest()
-    kept = keep / f"{digest}.pickle" if keep else None
-    process = InProcess(resolved)
-    node = next(host.node for host in process.hosts.values() if host.node.role == "evaluator")
-    if kept is not None and kept.exists():
-        node.data = pickle.loads(kept.read_bytes())
-        return node
-    finish, node.finish = node.finish, lambda context: {}
-    process.run()
-    node.finish = finish
-    if kept is not None:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        kept.write_bytes(pickle.dumps(node.data))
-    return node
 
 
 def errors(table: Mapping[str, Any], outcome: str) -> dict[str, Any]:
@@ -168,7 +144,6 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--frames", type=int, default=130)
     parser.add_argument("--cells", nargs="+", default=[])
-    parser.add_argument("--keep", type=Path)
     parser.add_argument("--causes", action="store_true", help="print the causes of both sorts of errors")
     options = parser.parse_args(arguments)
     print(f"{'cell':32} {'twin lacks':10} {'error':6} {'present':>8} {'blamed':>7} {'new':>8} {'blamed':>7}")
@@ -178,7 +153,7 @@ def main(arguments: Sequence[str]) -> None:
         counts: dict[str, Counter[tuple[bool, str]]] = {"false": Counter(), "missed": Counter()}
         for scene in options.scenes:
             for seed in options.seeds:
-                where = Where(scene, seed, options.frames, options.keep)
+                where = Where(scene, seed, options.frames)
                 tables = [objects(side, where) for side in (cell.first, cell.twin)]
                 for outcome, counter in counts.items():
                     one, other = (errors(table, outcome) for table in tables)

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.heavy
 def table(number: int, side: str, scene: str, dense: bool) -> Any:
     """The objects of a run, played once; number: of a cell, side: "first" or "twin"."""
     junction = dict(type="Intersection", scene_index=int(scene.partition(":")[2]), dense=dense)
-    place = wrong_blame.Where(junction, seed=3, frames=130, keep=None)
+    place = wrong_blame.Where(junction, seed=3, frames=130)
     return wrong_blame.objects(getattr(wrong_blame.cells()[number], side), place)
 
 
