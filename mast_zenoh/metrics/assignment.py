@@ -6,10 +6,12 @@ Boxes and positions of many frames: pairs, nearest neighbours, overlap, and look
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mast_zenoh.arrays.boxes import Boxes, intersection_area
 from mast_zenoh.arrays.checks import check
@@ -233,6 +235,12 @@ class Places:
 
     def __len__(self) -> int:
         return len(self.group)
+
+    @classmethod
+    def of_rows(cls, columns: Mapping[str, NDArray[Any]], rows: Bools, prefix: str = "") -> Places:
+        """Of some rows of a table with the columns `frame`, which is the group, and x, y and z, with a prefix."""
+        position = np.stack([columns[f"{prefix}{axis}"][rows] for axis in "xyz"], axis=1)
+        return cls(columns["frame"][rows].astype(np.int64), position.astype(np.float64))
 
 
 def nearest(places: Places, among: Places, radius: float) -> tuple[Ints, Floats]:

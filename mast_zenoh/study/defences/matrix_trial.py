@@ -127,8 +127,7 @@ def _withheld(run: Run, lies: _Columns) -> tuple[Bools, Bools]:
     except RunFolderError:
         return ~every, ~every
     withheld = objects["withheld"].astype(bool)
-    places = Places(objects["frame"][withheld].astype(np.int64), _positions(objects, withheld))
-    match, _ = nearest(Places(lies["frame"].astype(np.int64), _positions(lies, every)), places, GATE_M)
+    match, _ = nearest(Places.of_rows(lies, every), Places.of_rows(objects, withheld), GATE_M)
     rows = agents["state"] == "suspended"
     suspended = set(zip(agents["frame"][rows].tolist(), agents["agent"][rows].tolist(), strict=True))
     liars = zip(lies["frame"].tolist(), lies["agent"].tolist(), strict=True)
@@ -143,16 +142,11 @@ def _false_objects(run: Run, lies: _Columns) -> dict[str, float]:
     rows = (objects["agent"] == ego(summary)) & (objects["estimator"] == "picture") & (objects["outcome"] == "false")
     rows &= (objects["cause"] == "inserted") & (objects["frame"] >= first) & (objects["frame"] <= last)
     inserted = lies["effect"] == "inserted"
-    places = Places(lies["frame"][inserted].astype(np.int64), _positions(lies, inserted))
-    match, _ = nearest(Places(objects["frame"][rows].astype(np.int64), _positions(objects, rows)), places, GATE_M)
+    match, _ = nearest(Places.of_rows(objects, rows), Places.of_rows(lies, inserted), GATE_M)
     identifiable = lies["identifiable"][inserted][match[match >= 0]]
     frames = max(last - first + 1, 1)
     count = int(identifiable.sum())
     return {"identifiable": count / frames, "unidentifiable": (int(rows.sum()) - count) / frames}
-
-
-def _positions(columns: _Columns, rows: Bools) -> NDArray[np.float64]:
-    return np.column_stack([columns[axis][rows] for axis in "xyz"]).astype(np.float64).reshape(-1, 3)
 
 
 def trace(run: Run) -> dict[str, Any] | None:

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mast_zenoh.arrays.states import Detections, Floats
+from mast_zenoh.arrays.states import Bools, Detections, Floats
 from mast_zenoh.attacks.attack import sensor_of
+from mast_zenoh.metrics.assignment import Places, nearest
 from mast_zenoh.metrics.causes import KINDS
 from mast_zenoh.metrics.estimates import LOCAL, MISSION
 from mast_zenoh.metrics.study_results import NAN, Row
@@ -167,42 +168,33 @@ def _changed_detections(run: Run, effects: Mapping[str, Any], objects: Mapping[s
     """
     if not len(effects["frame"]):
         return 0
-    found = _detections(run, str(effects["wire"][0]))
+    by_frame = _detections(run, str(effects["wire"][0]))
+    frames = np.array([frame for frame, positions in by_frame.items() for _ in positions], np.int64)
+    detections = Places(frames, np.concatenate([np.zeros((0, 3)), *by_frame.values()]))
     true = (objects["kind"] == "truth") & (objects["estimator"] == LOCAL) & (objects["agent"] == run.ego)
-    frames, ids = objects["frame"][true], objects["id"][true]
-    places = np.stack([objects["x"][true], objects["y"][true]], axis=1)
-    last = max((frame for frame in found if frame < effects["frame"].min()), default=-1)
-    known = ids[(frames == last) & (_away(places, found.get(last)) <= _GATE_M)]
-
-    def is_changed(frame: int) -> bool:
-        inserted, removed = (
-            np.stack([effects[f"{when}_{axis}"][rows] for axis in "xy"], axis=1)
-            for when, effect in (("after", "inserted"), ("before", "removed"))
-            for rows in [(effects["frame"] == frame) & (effects["effect"] == effect)]
-        )
-        lost = places[(frames == frame) & np.isin(ids, known)]
-        lost = lost[(_away(lost, removed) <= _GATE_M) & (_away(lost, found.get(frame)) > _GATE_M)]
-        return bool(len(lost)) or bool((_away(inserted, found.get(frame)) <= _GATE_M).any())
-
-    return sum(is_changed(frame) for frame in np.unique(effects["frame"]).tolist())
+    truth, ids = Places.of_rows(objects, true), objects["id"][true]
+    detected = _are_near(truth, detections)
+    last = max((frame for frame in by_frame if frame < effects["frame"].min()), default=-1)
+    known = ids[(truth.group == last) & detected]
+    removed = Places.of_rows(effects, effects["effect"] == "removed", "before_")
+    lost = np.isin(ids, known) & ~detected & _are_near(truth, removed)
+    inserted = Places.of_rows(effects, effects["effect"] == "inserted", "after_")
+    return len(np.union1d(truth.group[lost], inserted.group[_are_near(inserted, detections)]))
 
 
-def _away(places: Floats, others: Floats | None) -> Floats:
-    """(n,) m, from places (n, 2) to the nearest of others (m, 2); infinite without any."""
-    if others is None or not len(others):
-        return np.full(len(places), np.inf)
-    return np.asarray(np.linalg.norm(places[:, None] - others, axis=2).min(axis=1))
+def _are_near(places: Places, others: Places) -> Bools:
+    return np.asarray(nearest(places, others, _GATE_M)[0] >= 0)
 
 
 def _detections(run: Run, wire: str) -> dict[int, Floats]:
-    """By frame, the places (n, 2) m, world frame, of what was detected in the scans of a wire."""
+    """By frame, the positions (n, 3) m, world frame, of what was detected in the scans of a wire."""
     subject = wire.split("/")[1]
     bodies: dict[str, dict[int, Any]] = {"pose": {}, "detections": {}}
     for message in messages(run.path, f"agent/{subject}/*", taps=True):
         if message.type in bodies and message.wire == f"agent/{subject}/{message.type}":
             bodies[message.type].setdefault(message.frame, message.body)
-    places = {}
-    for frame, body in bodies["detections"].items():
-        if (pose := bodies["pose"].get(frame)) is not None:
-            places[frame] = to_world(Detections.from_columns(body), *sensor_of(body, pose)).position[:, :2]
-    return places
+    return {
+        frame: to_world(Detections.from_columns(body), *sensor_of(body, pose)).position
+        for frame, body in bodies["detections"].items()
+        if (pose := bodies["pose"].get(frame)) is not None
+    }
