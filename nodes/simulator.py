@@ -67,8 +67,7 @@ class Simulator(Source):
                 context.publish("sweep", {"free": scene.sweep_at(frame, index)}, subject=agent.name)
         truth, returned = scene.truth_at(frame), scene.points_at(frame)
         if self.scanner is not None:
-            agents = scene.agent_position[frame], scene.agent_rotation[frame], scene.agent_velocity[frame]
-            returned = self.scanner.publish(frame, truth, *agents, context.publish)
+            returned = self.scanner.publish(frame, truth, scene, frame, context.publish)
         context.publish(
             "truth",
             {

@@ -149,8 +149,7 @@ class WorldSimulator(Source):
         if self.scanner is None:
             returned = most_seen(present, points, self.detection.walls)
         else:
-            agents = present.agent_position[0], present.agent_rotation[0], present.agent_velocity[0]
-            returned = self.scanner.publish(frame, present.truth, *agents, context.publish)
+            returned = self.scanner.publish(frame, present.truth, present, 0, context.publish)
         columns = ("id", "position", "velocity", "size", "yaw", "class_id")
         context.publish(
             "truth",

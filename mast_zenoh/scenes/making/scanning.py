@@ -24,6 +24,7 @@ from mast_zenoh.arrays.geometry import (
 from mast_zenoh.arrays.states import Floats, Ints, ObjectStates
 from mast_zenoh.errors import ConfigurationError, nearest
 from mast_zenoh.scenes.agents import best_pattern
+from mast_zenoh.scenes.making.observe import World
 from mast_zenoh.scenes.recording import NO_MEASUREMENT, Recording, SceneAgent
 from mast_zenoh.sensing import Walls, sensor_pose
 from mast_zenoh.sensing.beams import MODELS, Beams
@@ -137,21 +138,20 @@ class Scanner:
         self,
         frame: int,
         truth: ObjectStates,
-        position: Floats,
-        rotation: Floats,
-        velocity: Floats,
+        scene: Recording | World,
+        row: int,
         publish: Callable[..., None],
     ) -> NDArray[np.int32]:
-        """Publish the points of each agent in a frame, and what is found in them here; frames are in order.
+        """Publish the points of each agent in a frame, and the detections in them here; frames are in order.
 
         truth: n objects, world frame
-        position: (A, 3) m, rotation: (A, 3, 3) active, velocity: (A, 3) m/s: of the agents, world frame
+        scene: has the agents' poses and velocities;  row: of the frame, there
         publish: of a node's context
 
         Returns how many points (n, A) each object returned to each agent.
         """
-        returned = []
-        scans = self._scans(frame, truth, position, rotation, velocity)
+        agents = scene.agent_position[row], scene.agent_rotation[row], scene.agent_velocity[row]
+        scans, returned = self._scans(frame, truth, *agents), []
         for agent, detector, (columns, of_objects) in zip(self._agents, self._detectors, scans, strict=True):
             publish("points", columns, subject=agent.name)
             if detector is not None:
