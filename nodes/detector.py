@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
+from mast_zenoh.arrays.checks import check
 from mast_zenoh.mesh.hosting import main
 from mast_zenoh.node import Context, Node, Received
 from mast_zenoh.sensing import LidarSensor
@@ -30,8 +31,7 @@ class DetectorNode(Node):
     outputs = {"detections": "detections", "sweep": "sweep"}
 
     def __init__(self, detector: PointDetector, agent: str, lidar: LidarSensor, late_frames: int = 0) -> None:
-        if late_frames < 0:
-            raise ValueError(f"late_frames: found {late_frames}, expected 0 or more")
+        check("0 or more", late_frames=late_frames)
         self.detector, self.agent, self.lidar, self.late_frames = detector, agent, lidar, late_frames
         self.affects = {"points": {"detections": late_frames, "sweep": 0}}  # type: ignore[misc]  # depends on how it is configured
         self.waiting: deque[tuple[int, dict[str, Any]]] = deque()  # detections: time of the scan, columns

@@ -88,23 +88,24 @@ def equipped(path: Path, options: Mapping[str, Any], recording: Recording) -> Re
 
 def agent_config(options: Mapping[str, Any]) -> dict[str, Any]:
     """An agent's parameters: its detector, or how late the detections of a node may be."""
-    if not options:
-        return {}
-    late = {"late_frames": options["late_frames"]} if options["late_frames"] else {}
-    return late | ({"detector": options["detector"]} if options["detected_by"] == "agent" else {})
+    return {"detector": options["detector"]} if options.get("detected_by") == "agent" else _late(options)
+
+
+def _late(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The parameter of both nodes by which they know that detections are late."""
+    return {"late_frames": options["late_frames"]} if options.get("late_frames") else {}
 
 
 def detector_config(options: Mapping[str, Any], agent: str) -> dict[str, Any]:
     """The configuration of the node that detects objects for an agent; empty: there is none."""
-    if not options or options["detected_by"] != "detector":
+    if options.get("detected_by") != "detector":
         return {}
-    late = {"late_frames": options["late_frames"]} if options["late_frames"] else {}
     node = options["node"]
     if not {"file", "type"} & node.keys():  # a user's detector may well be in a file detector.py
         node = {"file": str(bundle.ROOT / "nodes" / "detector.py"), **node}
-    return {"agent": agent, "detector": options["detector"], **late, **node}
+    return {"agent": agent, "detector": options["detector"], **_late(options), **node}
 
 
 def rewrites(options: Mapping[str, Any]) -> list[str]:
     """The map of points, if any leave the simulator."""
-    return [MAP] if options and options["detected_by"] != "simulator" else []
+    return [MAP] if options.get("detected_by", "simulator") != "simulator" else []
