@@ -120,7 +120,7 @@ class InjectedPoints(PointAttack):
         firing, channel = np.indices(range_m.shape)
         step = max(float(np.median(np.diff(sector.azimuth))), 1e-6)
         firing = np.clip(firing + np.rint(jitter[0] / step).astype(np.int64), 0, len(range_m) - 1)
-        elevation = sector.calibration.elevation
+        elevation = sector.channels.elevation
         return np.asarray(range_m[firing, nearest(elevation, elevation[channel] + jitter[1])])
 
 
@@ -249,7 +249,7 @@ class ForgedMesh(PointAttack):
         sector = scan.sector(middle @ rotation, np.pi)
         made, intensity = (self._without if self.remove else self._with_car)(scan, middle, yaw)
         firing, channel, _ = sector.beams_at(made.astype(np.float64))
-        new = Points(made, intensity, sector.time_s[firing], sector.calibration.channel[channel])
+        new = Points(made, intensity, sector.time_s[firing], sector.channels.channel[channel])
         kept = self._kept(scan, middle, yaw)
         return ordered(Points.joined([scan.points.select(kept), new]))
 

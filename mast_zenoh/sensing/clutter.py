@@ -85,13 +85,13 @@ class Clutter:
         buildings: outlines, each (c, 2) m;  extent: (2, 2) m, the lowest and the highest x and y
         """
         ways, reach = _sparse(occupied, radius)
-        site = _Site(ways, reach + self.gap_m, buildings, self.gap_m, extent)
+        area = _FreeArea(ways, reach + self.gap_m, buildings, self.gap_m, extent)
         placed: list[tuple[float, ...]] = []
         counts = (self.hedges, self.kerbs, self.signs, self.poles)
         for (name, (least, most, above)), count in zip(_SIZES.items(), counts, strict=True):
             for _ in range(count if len(ways) else 0):
                 size = random.uniform(least, most)
-                if (place := site.find(size, random)) is not None:
+                if (place := area.find(size, random)) is not None:
                     (x, y), yaw = place
                     placed.append((x, y, ground_m + above + size[2] / 2, *size, yaw, _ROW[name]))
                     if name == "sign":
@@ -113,7 +113,7 @@ def _sparse(occupied: Floats, radius: Floats) -> tuple[Floats, Floats]:
     return (cells + 0.5) * _CELL_M, largest + _CELL_M / np.sqrt(2.0)
 
 
-class _Site(NamedTuple):
+class _FreeArea(NamedTuple):
     """Where there may be still objects: away from discs around `ways` and from buildings, within an extent."""
 
     ways: Floats

@@ -30,7 +30,7 @@ _UNSEEN_SLOPE = 0.01
 _STIFF = np.diag([0.0, 1e3, 1e3])
 
 
-class Ground(NamedTuple):
+class GroundGrid(NamedTuple):
     """The ground around a lidar: z (g, g) mm of cells, x first, and mm from the lidar to the ends of the grid."""
 
     z_mm: Millimetres
@@ -45,7 +45,9 @@ class Ground(NamedTuple):
         return np.where(inside & (z_mm < _NONE // 2), position[:, 2] - z_mm / 1000.0, np.inf)
 
 
-def points_and_ground(position: Singles, reach_m: float = REACH_M, slope: float = SLOPE) -> tuple[Millimetres, Ground]:
+def points_and_ground(
+    position: Singles, reach_m: float = REACH_M, slope: float = SLOPE
+) -> tuple[Millimetres, GroundGrid]:
     """Points (m, 4) of a scan, x y z mm and cell, and the ground below them.
 
     position: (n, 3) m, z up; left out are those that are farther than `reach_m` in x or y, or are not numbers
@@ -54,7 +56,7 @@ def points_and_ground(position: Singles, reach_m: float = REACH_M, slope: float 
     reach = int(np.ceil(reach_m * 1000 / _CELL)) * _CELL
     points, lowest = lowest_by_cell(np.asarray(position, np.float32), reach, _DEPTH, _CELL)
     plane, steps = _plane(lowest), (int(slope * _CELL), int(_UNSEEN_SLOPE * _CELL))
-    return points, Ground(ground_surface(_without_echoes(lowest, plane, slope), plane, *steps, _PIT), reach)
+    return points, GroundGrid(ground_surface(_without_echoes(lowest, plane, slope), plane, *steps, _PIT), reach)
 
 
 def _without_echoes(lowest: Millimetres, plane: Millimetres, slope: float) -> Millimetres:

@@ -58,7 +58,7 @@ def _turned(vectors: Floats, angle: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class ChannelAngles:
     """Directions of a lidar's beams: a channel looks to `rate * time + offset`, counter-clockwise from x.
 
     rate: rad/s; channel: (c,) uint8, those seen, ascending; offset, elevation: (c,) rad, of them
@@ -70,7 +70,7 @@ class Calibration:
     elevation: Floats
 
     @classmethod
-    def of(cls, fired: Floats, points: Points) -> Calibration:
+    def of(cls, fired: Floats, points: Points) -> ChannelAngles:
         """From a scan that is not empty; raises NoBeams without firing times. fired: (n, 3) m, as of `as_fired`"""
         time = points.time_s.astype(np.float64)
         one = points.channel == np.bincount(points.channel).argmax()
@@ -95,7 +95,7 @@ class Sector:
     """The beams of f firings of c channels, in part of a scan.
 
     points:   of the whole scan;  motion: of its lidar
-    time_s:   (f,) float32, ascending;  calibration: of the c channels;  azimuth: (f,) rad, of a channel without offset
+    time_s:   (f,) float32, ascending;  channels: the c of them;  azimuth: (f,) rad, of a channel without offset
     row:      (f, c) rows of the points, -1: nothing returned
     range_m:  (f, c) m, along the beam; inf: nothing returned
     """
@@ -103,13 +103,13 @@ class Sector:
     points: Points
     motion: LidarMotion
     time_s: Singles
-    calibration: Calibration
+    channels: ChannelAngles
     azimuth: Floats
     row: Ints
     range_m: Floats
 
     @classmethod
-    def near(cls, points: Points, motion: LidarMotion, seen: Calibration, azimuth: float, half_rad: float) -> Sector:
+    def near(cls, points: Points, motion: LidarMotion, seen: ChannelAngles, azimuth: float, half_rad: float) -> Sector:
         """The firings within `half_rad` of an azimuth, both rad; raises NoBeams if there is none."""
         fired = motion.as_fired(points.position, points.time_s)
         looks = seen.rate * points.time_s.astype(np.float64)
@@ -126,7 +126,7 @@ class Sector:
 
     def angles(self) -> tuple[Floats, Floats]:
         """(f, c) rad azimuth and (c,) rad elevation of the beams, in the frame of the lidar when it fired."""
-        return wrap_angle(self.azimuth[:, None] + self.calibration.offset), self.calibration.elevation
+        return wrap_angle(self.azimuth[:, None] + self.channels.offset), self.channels.elevation
 
     def directions(self) -> Floats:
         """(f, c, 3) unit vectors along the beams, in the frame of the lidar when it fired."""
@@ -135,14 +135,14 @@ class Sector:
     def beams_at(self, position: Floats) -> tuple[Ints, Ints, Bools]:
         """(n,) firing and channel nearest to the direction of positions (n, 3) m; (n,) whether a beam looks there."""
         azimuth, elevation = angles_of(position)
-        order = np.argsort(self.calibration.elevation)
-        step = np.diff(self.calibration.elevation[order])
+        order = np.argsort(self.channels.elevation)
+        step = np.diff(self.channels.elevation[order])
         apart = float(np.median(step)) if len(step) else 0.02
-        channel = order[nearest(self.calibration.elevation[order], elevation)]
+        channel = order[nearest(self.channels.elevation[order], elevation)]
         middle = self.azimuth[len(self.azimuth) // 2]
-        off = wrap_angle(azimuth - self.calibration.offset[channel] - middle) + middle
+        off = wrap_angle(azimuth - self.channels.offset[channel] - middle) + middle
         firing = nearest(self.azimuth, off)
-        aside = np.abs(off - self.azimuth[firing]), np.abs(elevation - self.calibration.elevation[channel])
+        aside = np.abs(off - self.azimuth[firing]), np.abs(elevation - self.channels.elevation[channel])
         return firing, channel, (aside[0] <= 0.01) & (aside[1] <= apart)
 
     def to_shape(self, middle: Floats, yaw: float, parts: Parts, longest_m: float = 300.0) -> Floats:
@@ -151,7 +151,7 @@ class Sector:
         middle: (3,) m, of its box, from the lidar;  yaw: rad
         """
         zero, (f, c) = np.zeros(3), self.row.shape
-        beams = self.calibration.elevation, self.calibration.offset, np.zeros(f), 0.0, longest_m
+        beams = self.channels.elevation, self.channels.offset, np.zeros(f), 0.0, longest_m
         range_m, _, _ = nearest_surfaces(
             *firings(Beams(self.azimuth, *beams)),
             Place(zero, zero, np.array([1.0, 0.0]), 0.0, np.ascontiguousarray(self.motion.rotation), NO_GROUND_M),
@@ -173,7 +173,7 @@ class Sector:
             self.motion.deskewed(beam * range_m[firing, channel, None], time),
             np.full(len(time), intensity, np.float32),
             time,
-            self.calibration.channel[channel],
+            self.channels.channel[channel],
         )
         gone = np.zeros(len(self.points), bool)
         gone[self.row[which & (self.row >= 0)]] = True
@@ -202,7 +202,7 @@ class BeamMemory:
     def __init__(self) -> None:
         self._before: tuple[float, Floats, Floats] | None = None
         self._poses = 0
-        self._calibration: Calibration | None = None
+        self._channels: ChannelAngles | None = None
 
     def move(self, time_s: float, position: Floats, rotation: Floats) -> None:
         """Take note of the pose of the lidar at a scan: (3,) m and (3, 3) active, world frame."""
@@ -216,10 +216,10 @@ class BeamMemory:
 
     def near(self, points: Points, azimuth: float, half_rad: float) -> Sector:
         """The firings of the scan at the last pose within `half_rad` of an azimuth, both rad; may raise NoBeams."""
-        if self._calibration is None or self._poses <= 2:  # the motion is known from the second pose on
+        if self._channels is None or self._poses <= 2:  # the motion is known from the second pose on
             fired = self._motion.as_fired(points.position, points.time_s)
-            self._calibration = Calibration.of(fired, points)
-        return Sector.near(points, self._motion, self._calibration, azimuth, half_rad)
+            self._channels = ChannelAngles.of(fired, points)
+        return Sector.near(points, self._motion, self._channels, azimuth, half_rad)
 
 
 def chords(beam: Floats, position: Floats, size: Floats, yaw: Floats) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.matching import connected_groups
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.messages.schemas import Body
-from mast_zenoh.sensing.ground import CLEARANCE_M, Ground, points_and_ground
+from mast_zenoh.sensing.ground import CLEARANCE_M, GroundGrid, points_and_ground
 from mast_zenoh.sensing.points import Points
 
 #: The type of messages with scans.
@@ -50,7 +50,7 @@ def _single(keys: Ints) -> tuple[Ints, Ints]:
     return values[count == 1], first[count == 1]
 
 
-def objects_of(points: Points, level: Floats, ground: Ground) -> Iterator[tuple[Floats, int]]:
+def objects_of(points: Points, level: Floats, ground: GroundGrid) -> Iterator[tuple[Floats, int]]:
     """Yield (position (3,) m, number of points) of each object that points make, in the frame of the lidar.
 
     level: (3, 3) active, to a frame with z up, in which the ground is
