@@ -117,7 +117,7 @@ def still_objects(recording: scenes.Recording, clutter: Clutter, random: np.rand
     return clutter.place(occupied, radius, recording.buildings, extent, random)
 
 
-class Found(NamedTuple):
+class DetectorResult(NamedTuple):
     """What a detector made of scans.
 
     objects: (k, 9) class, points, range m, whether found; error m, heading error deg, squared normalised error, whether
@@ -132,9 +132,9 @@ class Found(NamedTuple):
     ms: list[float]
 
 
-def matched(case: Case, found: Detections) -> tuple[Ints, Ints]:
+def matched(case: Case, detections: Detections) -> tuple[Ints, Ints]:
     """Rows of the truth and of the detections that belong together."""
-    gap = np.linalg.norm(case.truth.position[:, None, :2] - found.position[None, :, :2], axis=2)
+    gap = np.linalg.norm(case.truth.position[:, None, :2] - detections.position[None, :, :2], axis=2)
     gate = np.maximum(2.0, case.truth.size[:, :1] / 3.0)
     cost = np.where((gap <= gate) & (case.on_target[:, None] > 0), gap, 1e6)
     rows, columns = linear_sum_assignment(cost)
@@ -142,33 +142,33 @@ def matched(case: Case, found: Detections) -> tuple[Ints, Ints]:
     return rows[right], columns[right]
 
 
-def evaluated(detector: PointDetector, scans: list[Case]) -> Found:
+def evaluated(detector: PointDetector, scans: list[Case]) -> DetectorResult:
     """What the detector makes of scans."""
     rows, ms, false, merged, split = [], [], list[float](), 0, 0
     for case in scans:
         start = time.process_time()
-        found = detector.detect(case.points)
+        detections = detector.detect(case.points)
         ms.append(1e3 * (time.process_time() - start))
-        truth, of_found = case.truth, np.full(len(case.truth), -1)
-        true_rows, found_rows = matched(case, found)
-        of_found[true_rows] = found_rows
-        false.extend(np.delete(found.score, found_rows))
+        truth, match_of = case.truth, np.full(len(case.truth), -1)
+        true_rows, detected_rows = matched(case, detections)
+        match_of[true_rows] = detected_rows
+        false.extend(np.delete(detections.score, detected_rows))
         range_m = np.hypot(truth.position[:, 0], truth.position[:, 1])
         counted = (case.on_target > 0) & (range_m < 100.0)
         seen = truth.select(counted & (case.on_target >= 10))
-        merged += int((covered(seen.position, found.position, found.size, found.yaw) > 1).sum())
-        split += int((covered(found.position, seen.position, seen.size, seen.yaw) > 1).sum())
+        merged += int((covered(seen.position, detections.position, detections.size, detections.yaw) > 1).sum())
+        split += int((covered(detections.position, seen.position, seen.size, seen.yaw) > 1).sum())
         for row in np.flatnonzero(counted):
             error, turn, normalised, right, score = (np.nan,) * 5
-            if (match := of_found[row]) >= 0:
-                offset = found.position[match, :2] - truth.position[row, :2]
+            if (match := match_of[row]) >= 0:
+                offset = detections.position[match, :2] - truth.position[row, :2]
                 error = float(np.hypot(*offset))
-                turn = np.degrees(abs(wrap_angle(2.0 * (found.yaw[match] - truth.yaw[row])) / 2.0))
-                normalised = offset @ np.linalg.solve(found.covariance[match, :2, :2], offset)
-                right, score = float(found.class_id[match] == truth.class_id[row]), found.score[match]
-            numbers = case.on_target[row], range_m[row], of_found[row] >= 0, error, turn, normalised, right, score
+                turn = np.degrees(abs(wrap_angle(2.0 * (detections.yaw[match] - truth.yaw[row])) / 2.0))
+                normalised = offset @ np.linalg.solve(detections.covariance[match, :2, :2], offset)
+                right, score = float(detections.class_id[match] == truth.class_id[row]), detections.score[match]
+            numbers = case.on_target[row], range_m[row], match_of[row] >= 0, error, turn, normalised, right, score
             rows.append((truth.class_id[row], *numbers))
-    return Found(np.array(rows, np.float64), false, merged, split, ms)
+    return DetectorResult(np.array(rows, np.float64), false, merged, split, ms)
 
 
 def covered(position: Floats, middle: Floats, size: Floats, yaw: Floats) -> Ints:
@@ -189,24 +189,24 @@ POINTS = (1, 5, 10, 30, 100, 10**6)
 RANGES = (0, 20, 40, 60, 100)
 
 
-def tables(results: dict[tuple[str, str], Found]) -> None:
+def tables(results: dict[tuple[str, str], DetectorResult]) -> None:
     """Print by lidar, by points and by range."""
     print(
         "\n| agent, lidar | scans | objects | recall | near vehicles | precision | scores from 0.5 | merged | split |"
     )
     print("|---|---:|---:|---:|---:|---:|---:|---:|---:|")
-    for (agent, lidar), found in results.items():
-        rows = found.objects
+    for (agent, lidar), result in results.items():
+        rows = result.objects
         near = np.isin(rows[:, 0], VEHICLES) & (rows[:, 1] >= 30) & (rows[:, 2] < 40.0)
         many = max(int((rows[:, 1] >= 10).sum()), 1)
-        scores = np.concatenate([rows[rows[:, 3] > 0, 8], found.false])
+        scores = np.concatenate([rows[rows[:, 3] > 0, 8], result.false])
         true = np.arange(len(scores)) < rows[:, 3].sum()
         precision = true.mean(), true[scores >= 0.5].mean()
-        shares = rows[:, 3].mean(), rows[near, 3].mean(), *precision, found.merged / many, found.split / many
+        shares = rows[:, 3].mean(), rows[near, 3].mean(), *precision, result.merged / many, result.split / many
         print(
-            f"| {agent}, {lidar} | {len(found.ms)} | {len(rows)} |", " | ".join(f"{each:.1%}" for each in shares), "|"
+            f"| {agent}, {lidar} | {len(result.ms)} | {len(rows)} |", " | ".join(f"{each:.1%}" for each in shares), "|"
         )
-    rows = np.concatenate([found.objects for found in results.values()])
+    rows = np.concatenate([result.objects for result in results.values()])
     for title, column, edges in (("points", 1, POINTS), ("range, m", 2, RANGES)):
         print(f"\n| class | {title} | objects | recall | error, m | 90 % below | heading, deg | class right | NEES |")
         print("|---|---|---:|---:|---:|---:|---:|---:|---:|")
@@ -223,8 +223,8 @@ def tables(results: dict[tuple[str, str], Found]) -> None:
                 print(f"{hits[:, 7].mean():.0%} | {np.median(hits[:, 6]):.1f} |")
     calibration(rows)
     print("\n| agent, lidar | ms a scan, best | median |\n|---|---:|---:|")
-    for (agent, lidar), found in results.items():
-        print(f"| {agent}, {lidar} | {min(found.ms):.1f} | {np.median(found.ms):.1f} |")
+    for (agent, lidar), result in results.items():
+        print(f"| {agent}, {lidar} | {min(result.ms):.1f} | {np.median(result.ms):.1f} |")
 
 
 def calibration(rows: Floats) -> None:
@@ -264,24 +264,24 @@ def worst_of(detector: PointDetector, scans: dict[tuple[str, str], list[Case]]) 
     """The worst case of each kind: a bus seen from an end, a car whose near end is hidden, a hedge taken for a car."""
     kinds: list[list[Worst]] = [[], [], []]
     for (_, lidar), case in ((key, case) for key, of_lidar in scans.items() for case in of_lidar):
-        found, truth = detector.detect(case.points), case.truth
+        detections, truth = detector.detect(case.points), case.truth
         name = "scene's lidar" if lidar == "paper" else lidar
-        for row, match in zip(*matched(case, found), strict=True):
+        for row, match in zip(*matched(case, detections), strict=True):
             place, points = truth.position[row], case.on_target[row]
-            far, offset = float(np.hypot(*place[:2])), found.position[match, :2] - place[:2]
+            far, offset = float(np.hypot(*place[:2])), detections.position[match, :2] - place[:2]
             error, beyond = float(np.hypot(*offset)), float(offset @ place[:2]) / far
             end_on = abs(np.cos(truth.yaw[row] - np.arctan2(place[1], place[0]))) > 0.95
             title = f"{error:.1f} m off\n{name}, {points} points on it"
             if truth.class_id[row] == CLASSES.index("bus") and far > 60.0 and end_on:
-                kinds[0].append(Worst(case, found, error, place, "Bus seen from an end: " + title))
+                kinds[0].append(Worst(case, detections, error, place, "Bus seen from an end: " + title))
             if truth.class_id[row] == CLASSES.index("car") and beyond > 0.9 * error and hides_near_end(case, row):
-                kinds[1].append(Worst(case, found, error, place, "Car, near end hidden: " + title))
-        cars = np.flatnonzero(found.class_id == CLASSES.index("car"))
-        for row in np.setdiff1d(cars, matched(case, found)[1]):
-            place, hedges = found.position[row], case.hedges
+                kinds[1].append(Worst(case, detections, error, place, "Car, near end hidden: " + title))
+        cars = np.flatnonzero(detections.class_id == CLASSES.index("car"))
+        for row in np.setdiff1d(cars, matched(case, detections)[1]):
+            place, hedges = detections.position[row], case.hedges
             if covered(place[None], hedges.position, hedges.size, hedges.yaw).any():
-                title = f"Hedge taken for a car\n{name}, score {found.score[row]:.2f}"
-                kinds[2].append(Worst(case, found, float(found.score[row]), place, title))
+                title = f"Hedge taken for a car\n{name}, score {detections.score[row]:.2f}"
+                kinds[2].append(Worst(case, detections, float(detections.score[row]), place, title))
     return [max(kind, key=lambda worst: worst.badness) for kind in kinds if kind]
 
 
@@ -309,7 +309,7 @@ def draw(worst: list[Worst], out: Path) -> None:
     entries += [Patch(facecolor=theme.building, edgecolor=theme.building_edge, label="hedge")]
     entries += [mark_entry(".", theme.faint, "point above the ground", size=4.0)]
     figure.set_figheight(height + draw_legend(figure, entries, theme, 8.5))
-    for column, (case, found, _, place, title) in enumerate(worst):
+    for column, (case, detections, _, place, title) in enumerate(worst):
         axes = figure.place(_LEFT + column * (_SIDE + _GAP), 0.44, _SIDE, _SIDE)
         draw_ground(axes, None, theme)
         turn, far = float(np.pi / 2.0 - np.arctan2(place[1], place[0])), float(np.hypot(*place[:2]))
@@ -320,7 +320,7 @@ def draw(worst: list[Worst], out: Path) -> None:
         ) -> Boxes:
             return Boxes.unnamed(states.position[rows] @ upright, states.size[rows], states.yaw[rows] + turn)
 
-        true, right = matched(case, found)
+        true, right = matched(case, detections)
         missed, hit = np.delete(np.arange(len(case.truth)), true), case.on_target > 0
         hedges = turned(case.hedges, np.arange(len(case.hedges)))
         walls = PolyCollection(list(outlines(hedges)), facecolor=theme.building, edgecolor=theme.building_edge)
@@ -328,9 +328,9 @@ def draw(worst: list[Worst], out: Path) -> None:
         boxes = {
             "unevaluated": turned(case.truth, missed[~hit[missed]]),
             "truth matched": turned(case.truth, true),
-            "track matched": turned(found, right),
+            "track matched": turned(detections, right),
             "truth missed": turned(case.truth, missed[hit[missed]]),
-            "track false": turned(found, np.delete(np.arange(len(found)), right)),
+            "track false": turned(detections, np.delete(np.arange(len(detections)), right)),
         }
         for order, (name, colour) in enumerate(theme.outcomes.items()):
             BoxArtists(axes, colour, 3 + 0.1 * order, name, 0.8).show(boxes[name])

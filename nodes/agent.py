@@ -297,7 +297,7 @@ class Agent(Node):
 
         From a sensor whose message is missing, nothing was detected at the frame's time.
         """
-        found, first = [], self.mount
+        measurements, first = [], self.mount
         for row, member in enumerate(self.members):
             if not self.due(row, frame):
                 continue
@@ -311,8 +311,8 @@ class Agent(Node):
                     measured_ns = received.time_ns if self.measurement_times else time_ns
                 first = first if self.sensors else mount
             if mount is not None:
-                found.append(Measurement(measured_ns, row, detections, mount))
-        return found, first
+                measurements.append(Measurement(measured_ns, row, detections, mount))
+        return measurements, first
 
     def from_here(self, late: Measurement, pose: Pose) -> Measurement:
         """A measurement of an earlier frame, with its sensor's mount as seen from where the agent is now."""

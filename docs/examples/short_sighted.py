@@ -18,8 +18,8 @@ class ShortSighted(Detector):
         distance = np.linalg.norm(objects.position - sensor_position, axis=1)
         seen = objects.select((points > 0) & (distance <= self.range_m))
         n = len(seen)
-        found = Detections(seen.position, seen.size, seen.yaw, np.ones(n), seen.class_id, np.zeros((n, 3, 3)))
-        return to_sensor(found, sensor_position, sensor_rotation), seen.id
+        detections = Detections(seen.position, seen.size, seen.yaw, np.ones(n), seen.class_id, np.zeros((n, 3, 3)))
+        return to_sensor(detections, sensor_position, sensor_rotation), seen.id
 
 
 def scenario(range_m=25.0):

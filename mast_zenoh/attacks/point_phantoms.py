@@ -271,9 +271,9 @@ class ForgedMesh(PointAttack):
         still = np.zeros((1, 3)), np.zeros(1), np.zeros(1)
         parts = Parts.of(np.array([CLASS_INDEX["car"]]), np.array([self.size]))
         objects = Moving(middle[None], still[0], np.array([yaw]), still[2])
-        found = cast(beams, Moving(eye[None], *still), np.eye(3), objects, parts, NO_GROUND_M)
-        met = found.source == 0
-        made = (beams.directions()[met] * found.range_m[met][:, None] + eye) @ scan.lidar[1]
+        hits = cast(beams, Moving(eye[None], *still), np.eye(3), objects, parts, NO_GROUND_M)
+        met = hits.source == 0
+        made = (beams.directions()[met] * hits.range_m[met][:, None] + eye) @ scan.lidar[1]
         return made.astype(np.float32), np.full(len(made), 0.5, np.float32)
 
     def _without(self, scan: AttackedScan, middle: Floats, yaw: float) -> tuple[Singles, Singles]:

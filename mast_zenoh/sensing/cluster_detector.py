@@ -347,14 +347,14 @@ def boxes_of(points: Millimetres, start: Ints, steepest: float) -> Detections:
     score *= 1.0 - np.where(kind >= _TRUCK, np.exp(-count / 20.0), 0.4 * np.exp(-count / 8.0))
     yaw = wrap_angle(2.0 * box.yaw) / 2.0
     size = np.concatenate([extent, height[:, None]], axis=1)
-    found = Detections(position, np.maximum(size, 0.1), yaw, score, _CLASS_IDS[kind], covariance)
-    return found.select(~_within_others(found, kind, count))
+    detections = Detections(position, np.maximum(size, 0.1), yaw, score, _CLASS_IDS[kind], covariance)
+    return detections.select(~_within_others(detections, kind, count))
 
 
-def _within_others(found: Detections, kind: Ints, count: Floats) -> Bools:
+def _within_others(detections: Detections, kind: Ints, count: Floats) -> Bools:
     """(n,) whether the middle of a detection is within a vehicle of more points, or it is no vehicle itself."""
-    offset = found.position.T[:2, :, None] - found.position.T[:2, None]
-    apart = np.abs(_along(np.cos(found.yaw), np.sin(found.yaw), *offset))
-    inside = (apart < found.size.T[:2, None] / 2.0).all(axis=0)
+    offset = detections.position.T[:2, :, None] - detections.position.T[:2, None]
+    apart = np.abs(_along(np.cos(detections.yaw), np.sin(detections.yaw), *offset))
+    inside = (apart < detections.size.T[:2, None] / 2.0).all(axis=0)
     other = (kind >= _CAR) & ((count > count[:, None]) | (kind[:, None] < _CAR))
     return np.asarray((inside & other & ~np.eye(len(count), dtype=bool)).any(axis=1))

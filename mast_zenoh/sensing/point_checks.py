@@ -41,12 +41,12 @@ class PointCheck(ABC):
         self.least = least
 
     @abstractmethod
-    def check(self, points: Points, found: Detections) -> Floats:
+    def check(self, points: Points, detections: Detections) -> Floats:
         """(n,) plausibility, 0 to 1, of the detections of one scan; called once for each scan, in order."""
 
-    def keep(self, points: Points, found: Detections) -> Bools:
+    def keep(self, points: Points, detections: Detections) -> Bools:
         """(n,) whether the detections are plausible enough. Counts as a call of `check`."""
-        return self.check(points, found) >= self.least
+        return self.check(points, detections) >= self.least
 
 
 class OcclusionCheck(PointCheck):
@@ -63,28 +63,28 @@ class OcclusionCheck(PointCheck):
     def __init__(self, *, least: float = 0.8) -> None:
         super().__init__(least)
 
-    def check(self, points: Points, found: Detections) -> Floats:
-        return 1.0 - penetration(points, found)
+    def check(self, points: Points, detections: Detections) -> Floats:
+        return 1.0 - penetration(points, detections)
 
 
-def penetration(points: Points, found: Detections) -> Floats:
+def penetration(points: Points, detections: Detections) -> Floats:
     """(n,) share of the beams into the body of a vehicle that return from behind it; 0: none, or too few."""
-    shares = np.zeros(len(found))
-    solid = np.flatnonzero(np.isin(found.class_id, _SOLID))
+    shares = np.zeros(len(detections))
+    solid = np.flatnonzero(np.isin(detections.class_id, _SOLID))
     if not len(solid) or not len(points):
         return shares
-    low, high = (found.position[solid, 2] + (share - 0.5) * found.size[solid, 2] for share in _BODY)
-    size = np.column_stack([np.maximum(found.size[solid, :2] * _FILLED - _BOX_ERROR_M, 0.2), high - low])
-    middle = np.column_stack([found.position[solid, :2], (low + high) / 2])
-    yaw, range_m = found.yaw[solid], points.range_m().astype(np.float64)
+    low, high = (detections.position[solid, 2] + (share - 0.5) * detections.size[solid, 2] for share in _BODY)
+    size = np.column_stack([np.maximum(detections.size[solid, :2] * _FILLED - _BOX_ERROR_M, 0.2), high - low])
+    middle = np.column_stack([detections.position[solid, :2], (low + high) / 2])
+    yaw, range_m = detections.yaw[solid], points.range_m().astype(np.float64)
     bearing, azimuth = np.arctan2(points.position[:, 1], points.position[:, 0]), angles_of(middle)[0]
-    for place, row in enumerate(solid):
-        aside = np.hypot(*size[place, :2]) / 2 / max(float(np.hypot(*middle[place, :2])), 0.1)
-        near = np.flatnonzero(np.abs(wrap_angle(bearing - azimuth[place])) <= 1.6 * aside)
+    for k, row in enumerate(solid):
+        aside = np.hypot(*size[k, :2]) / 2 / max(float(np.hypot(*middle[k, :2])), 0.1)
+        near = np.flatnonzero(np.abs(wrap_angle(bearing - azimuth[k])) <= 1.6 * aside)
         beam = points.position[near] / np.maximum(range_m[near, None], 1e-9)
-        boxes = middle[place, None], size[place, None], yaw[place, None]
+        boxes = middle[k, None], size[k, None], yaw[k, None]
         enter, leave = (each[:, 0] for each in chords(beam, *boxes))
-        surface_m = float(np.hypot(*(found.size[row, :2] - size[place, :2]))) + _BOX_ERROR_M  # at most, before the body
+        surface_m = float(np.hypot(*(detections.size[row, :2] - size[k, :2]))) + _BOX_ERROR_M  # at most before the body
         reached = (enter <= leave) & (enter > 0.0) & (range_m[near] > enter - surface_m)
         if np.count_nonzero(reached) >= _FEW:
             shares[row] = np.mean(range_m[near][reached] > leave[reached] + _BEHIND_M)
@@ -113,14 +113,14 @@ class ShadowCheck(PointCheck):
         check("more than 0, finite", length_m=length_m)
         self._length_m = length_m
 
-    def check(self, points: Points, found: Detections) -> Floats:
-        plausible = np.ones(len(found))
+    def check(self, points: Points, detections: Detections) -> Floats:
+        plausible = np.ones(len(detections))
         position = points.position.astype(np.float64)
         flat, bearing = np.hypot(position[:, 0], position[:, 1]), angles_of(position)[0]
         slope = position[:, 2] / np.maximum(flat, 1e-9)
-        for row in range(len(found)):
-            middle, size = found.position[row], found.size[row]
-            turned = found.yaw[row] - np.arctan2(middle[1], middle[0])
+        for row in range(len(detections)):
+            middle, size = detections.position[row], detections.size[row]
+            turned = detections.yaw[row] - np.arctan2(middle[1], middle[0])
             across = np.abs(np.sin(turned)) * size[0] + np.abs(np.cos(turned)) * size[1]
             deep = np.abs(np.cos(turned)) * size[0] + np.abs(np.sin(turned)) * size[1]
             away = float(np.hypot(*middle[:2]))
@@ -164,23 +164,23 @@ class TemporalCheck(PointCheck):
         self._tracks = np.zeros((0, 7))
         self._before: Points | None = None
 
-    def check(self, points: Points, found: Detections) -> Floats:
+    def check(self, points: Points, detections: Detections) -> Floats:
         tracks, before, self._before = self._tracks, self._before, points
-        plausible = np.ones(len(found))
+        plausible = np.ones(len(detections))
         moved = tracks[:, :2] + np.nan_to_num(tracks[:, 2:4]) * (1.0 + tracks[:, 5:6])
         gate = np.where(np.isnan(tracks[:, 2]), self._fastest_m, self._gate_m) * (1.0 + 0.5 * tracks[:, 5])
-        apart = np.linalg.norm(found.position[:, None, :2] - moved[None], axis=2)
+        apart = np.linalg.norm(detections.position[:, None, :2] - moved[None], axis=2)
         row, track = np.nonzero(apart <= gate)
         pairs = greedy_matching(row, track, apart[row, track])
-        rows = np.full(len(found), -1)
+        rows = np.full(len(detections), -1)
         rows[row[pairs]] = track[pairs]
         new = rows < 0
         if before is not None:
-            plausible[new] = 1.0 - penetration(before, found.select(new))
+            plausible[new] = 1.0 - penetration(before, detections.select(new))
         old = tracks[rows[~new]]
         plausible[~new] = np.where(old[:, 6] >= self._forgive, 1.0, old[:, 4])
-        unknown, none = np.full((len(found), 2), np.nan), np.zeros((len(found), 2))
-        current = np.column_stack([found.position[:, :2], unknown, plausible, none])
+        unknown, none = np.full((len(detections), 2), np.nan), np.zeros((len(detections), 2))
+        current = np.column_stack([detections.position[:, :2], unknown, plausible, none])
         step = (current[~new, :2] - old[:, :2]) / (1.0 + old[:, 5:6])
         current[~new, 2:4] = np.where(np.isnan(old[:, 2:4]), step, 0.5 * old[:, 2:4] + 0.5 * step)
         current[~new, 6] = old[:, 6] + 1
@@ -200,8 +200,8 @@ class CheckedDetector(PointDetector):
         self._detector, self._checks = detector, checks
 
     def detect(self, points: Points) -> Detections:
-        found = self._detector.detect(points)
-        kept = np.ones(len(found), bool)
+        detections = self._detector.detect(points)
+        kept = np.ones(len(detections), bool)
         for each in self._checks:
-            kept &= each.keep(points, found)
-        return found.select(kept)
+            kept &= each.keep(points, detections)
+        return detections.select(kept)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -50,26 +51,26 @@ _COLUMNS = {
 }
 
 
-def problem_of(found: object) -> str:
+def problem_of(detections: object) -> str:
     """What is wrong with what a detector returned; empty: nothing."""
-    if not isinstance(found, Detections):
-        return f"returned {type(found).__name__}, expected Detections"
-    n = len(found)
+    if not isinstance(detections, Detections):
+        return f"returned {type(detections).__name__}, expected Detections"
+    n = len(detections)
     for name, (shape, most) in _COLUMNS.items():
-        values = getattr(found, name)
+        values = getattr(detections, name)
         if not isinstance(values, np.ndarray) or values.shape != (n, *shape):
             return f"{name} has the shape {np.shape(values)}, expected {(n, *shape)}"
         if not np.isfinite(values).all():
             return f"{name} has a number that is not finite"
         if n and np.abs(values).max() > most:
             return f"{name} has the number {values.flat[np.abs(values).argmax()]:g}, expected at most {most:g}"
-    if n and not 0.0 <= found.score.min() <= found.score.max() <= 1.0:
-        return f"score {found.score.min():g} to {found.score.max():g}, expected 0 to 1"
-    if n and not found.size.min() > 0.0:
-        return f"size {found.size.min():g} m, expected more than 0"
-    if n and (variance := np.diagonal(found.covariance, axis1=1, axis2=2)).min() < 0.0:
+    if n and not 0.0 <= detections.score.min() <= detections.score.max() <= 1.0:
+        return f"score {detections.score.min():g} to {detections.score.max():g}, expected 0 to 1"
+    if n and not detections.size.min() > 0.0:
+        return f"size {detections.size.min():g} m, expected more than 0"
+    if n and (variance := np.diagonal(detections.covariance, axis1=1, axis2=2)).min() < 0.0:
         return f"covariance with the variance {variance.min():g} m², expected 0 or more"
-    if np.shape(found.class_id) != (n,) or (n and int(np.max(found.class_id)) >= len(CLASSES)):
+    if np.shape(detections.class_id) != (n,) or (n and int(np.max(detections.class_id)) >= len(CLASSES)):
         return f"class_id: expected {n} indices below {len(CLASSES)}"
     return ""
 
@@ -80,11 +81,11 @@ def detected(detector: PointDetector, scan: Mapping[str, NDArray[Any]]) -> dict[
     scan: the columns of a `points` message. Raises ValueError for detections that cannot be.
     """
     level = rotation_from_quaternion(scan["level_rotation"])
-    found = detector.detect(Points.from_columns(scan).turned(level).read_only())
-    if problem := problem_of(found):
+    detections = detector.detect(Points.from_columns(scan).turned(level).read_only())
+    if problem := problem_of(detections):
         raise ValueError(f"{type(detector).__name__}.detect: {problem}")
-    own = found.columns() | {"position": found.position @ level, "covariance": level.T @ found.covariance @ level}
-    return nothing_detected(scan) | own
+    own = replace(detections, position=detections.position @ level, covariance=level.T @ detections.covariance @ level)
+    return nothing_detected(scan) | own.columns()
 
 
 def detected_or_nothing(

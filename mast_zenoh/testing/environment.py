@@ -100,21 +100,21 @@ def check_detector(detector: Detector) -> None:
         objects = samples.states(n)
         points = np.where(np.arange(n) % 3 == 1, 0, np.arange(n) % 90).astype(np.int32)
         with unchanged(subject, objects=objects, points=points, sensor_position=_SENSOR):
-            found, ids = _detected(detector, objects, points)
-        count = len(ids)
-        expect(isinstance(found, Detections), f"{subject}: found {type(found).__name__}, expected Detections")
-        expect(len(found) == count, f"{subject}: {len(found)} detections and {count} ids, expected equal numbers")
-        expect_finite(found, subject)
-        expect((np.diff(found.score) <= 0.0).all(), f"{subject}: the best score is not first")
-        expect(((found.score >= 0.0) & (found.score <= 1.0)).all(), f"{subject}: a score is not from 0 to 1")
-        expect((found.size > 0.0).all(), f"{subject}: a size is not greater than 0")
+            detections, ids = _detected(detector, objects, points)
+        expect(isinstance(detections, Detections), f"{subject}: found {type(detections).__name__}, expected Detections")
+        count = len(detections), len(ids)
+        expect(count[0] == count[1], f"{subject}: {count[0]} detections and {count[1]} ids, expected equal numbers")
+        expect_finite(detections, subject)
+        expect((np.diff(detections.score) <= 0.0).all(), f"{subject}: the best score is not first")
+        expect(((detections.score >= 0.0) & (detections.score <= 1.0)).all(), f"{subject}: a score is not from 0 to 1")
+        expect((detections.size > 0.0).all(), f"{subject}: a size is not greater than 0")
         seen = objects.id[points > 0]
         expect(np.isin(ids, np.append(seen, -1)).all(), f"{subject}: detects an object without lidar returns")
         text = f"{subject}: two runs with the same random stream differ"
-        expect_same((found, ids), _detected(detector, objects, points), text)
+        expect_same((detections, ids), _detected(detector, objects, points), text)
         order = np.random.default_rng(n).permutation(n)
         shuffled = _detected(detector, objects.select(order), points[order])
-        expect_same(_sorted(found, ids), _sorted(*shuffled), f"{subject}: depends on the order of the rows")
+        expect_same(_sorted(detections, ids), _sorted(*shuffled), f"{subject}: depends on the order of the rows")
 
 
 def _detected(detector: Detector, objects: ObjectStates, points: np.ndarray) -> tuple[Detections, Ints]:
@@ -122,10 +122,10 @@ def _detected(detector: Detector, objects: ObjectStates, points: np.ndarray) -> 
     return made.detect(objects, points, LidarSensor(), _SENSOR, np.eye(3), 0.0, random)
 
 
-def _sorted(found: Detections, ids: Ints) -> tuple[Detections, Ints]:
+def _sorted(detections: Detections, ids: Ints) -> tuple[Detections, Ints]:
     """In a canonical order: detections with equal scores may come in any order."""
-    order = np.lexsort((*found.position.T, found.score, ids))
-    return found.select(order), ids[order]
+    order = np.lexsort((*detections.position.T, detections.score, ids))
+    return detections.select(order), ids[order]
 
 
 def check_link_rule(rule: Rule) -> None:

@@ -118,8 +118,8 @@ def test_every_second_point_is_removed_and_what_floats_is_refused(folder: Path) 
     assert min(run.attacks["frame"].to_pylist()) == 10
     position = np.array([[9.0, 0.0, -1.0], [9.0, 4.0, 2.0]])
     zero = np.zeros(2)
-    found = Detections(position, np.full((2, 3), 1.6), zero, zero, zero.astype(np.uint8), np.zeros((2, 3, 3)))
-    keep = loading.module(folder / "thinned.py").Grounded().keep(Points.of(np.array([[9.0, 2.0, -1.8]])), found)
+    detections = Detections(position, np.full((2, 3), 1.6), zero, zero, zero.astype(np.uint8), np.zeros((2, 3, 3)))
+    keep = loading.module(folder / "thinned.py").Grounded().keep(Points.of(np.array([[9.0, 2.0, -1.8]])), detections)
     assert keep.tolist() == [True, False]
 
 

@@ -55,24 +55,24 @@ def scanned(
     return Points.of(position)
 
 
-def names(found: Detections) -> list[str]:
-    return sorted(CLASSES[which] for which in found.class_id)
+def names(detections: Detections) -> list[str]:
+    return sorted(CLASSES[which] for which in detections.class_id)
 
 
-def nearest(found: Detections, x: float, y: float) -> tuple[int, float]:
-    gap = np.hypot(found.position[:, 0] - x, found.position[:, 1] - y)
+def nearest(detections: Detections, x: float, y: float) -> tuple[int, float]:
+    gap = np.hypot(detections.position[:, 0] - x, detections.position[:, 1] - y)
     return int(gap.argmin()), float(gap.min())
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.5, 1.2, -0.8, np.pi / 2])
 @pytest.mark.parametrize(("height", "model"), [(1.8, "OS1-128"), (1.8, "VLP-32C"), (5.0, "OS1-128")])
 def test_car_at_20_m_is_found_where_it_is(yaw: float, height: float, model: str) -> None:
-    found = ClusterDetector().detect(scanned(("car", 20.0, 3.0, yaw), height=height, model=model))
-    assert names(found) == ["car"]
-    assert nearest(found, 20.0, 3.0)[1] < 0.35
-    assert abs(found.position[0, 2] + height - 0.75) < 0.15
-    assert abs((found.yaw[0] - yaw + np.pi / 2) % np.pi - np.pi / 2) < np.radians(5.0)
-    assert np.allclose(found.size[0], SIZES["car"], atol=(0.5, 0.25, 0.2))
+    detections = ClusterDetector().detect(scanned(("car", 20.0, 3.0, yaw), height=height, model=model))
+    assert names(detections) == ["car"]
+    assert nearest(detections, 20.0, 3.0)[1] < 0.35
+    assert abs(detections.position[0, 2] + height - 0.75) < 0.15
+    assert abs((detections.yaw[0] - yaw + np.pi / 2) % np.pi - np.pi / 2) < np.radians(5.0)
+    assert np.allclose(detections.size[0], SIZES["car"], atol=(0.5, 0.25, 0.2))
 
 
 @pytest.mark.parametrize("name", SIZES)
@@ -81,14 +81,14 @@ def test_class_follows_from_size_and_height(name: str) -> None:
 
 
 def test_middle_of_a_car_seen_from_behind_is_not_drawn_towards_the_lidar() -> None:
-    found = ClusterDetector().detect(scanned(("car", 30.0, 0.0, 0.0), model="VLP-16"))
-    assert abs(found.position[0, 0] - 30.0) < 0.5
-    assert found.covariance[0, 0, 0] > 2.0 * found.covariance[0, 1, 1]
+    detections = ClusterDetector().detect(scanned(("car", 30.0, 0.0, 0.0), model="VLP-16"))
+    assert abs(detections.position[0, 0] - 30.0) < 0.5
+    assert detections.covariance[0, 0, 0] > 2.0 * detections.covariance[0, 1, 1]
 
 
 def test_two_cars_that_are_one_and_a_half_metres_apart_are_two() -> None:
-    found = ClusterDetector().detect(scanned(("car", 15.0, 5.0, 0.0), ("car", 15.0, 8.3, 0.0), ("car", 21.0, 5.0, 0.0)))
-    assert names(found) == ["car"] * 3
+    points = scanned(("car", 15.0, 5.0, 0.0), ("car", 15.0, 8.3, 0.0), ("car", 21.0, 5.0, 0.0))
+    assert names(ClusterDetector().detect(points)) == ["car"] * 3
 
 
 def test_wall_is_no_object() -> None:
@@ -108,9 +108,9 @@ def test_bridge_over_a_car_is_left_out() -> None:
 @pytest.mark.parametrize("slope", [-0.05, 0.05])
 @pytest.mark.parametrize("model", ["VLP-16", "OS1-128"])
 def test_slope_is_ground(slope: float, model: str) -> None:
-    found = ClusterDetector().detect(scanned(("car", 25.0, 2.0, 0.3), slope=slope, model=model))
-    assert names(found) == ["car"]
-    assert nearest(found, 25.0, 2.0)[1] < 0.4
+    detections = ClusterDetector().detect(scanned(("car", 25.0, 2.0, 0.3), slope=slope, model=model))
+    assert names(detections) == ["car"]
+    assert nearest(detections, 25.0, 2.0)[1] < 0.4
 
 
 @pytest.mark.parametrize("slope", [-0.05, 0.0, 0.05])
@@ -121,19 +121,19 @@ def test_returns_from_below_the_road_are_none_of_it(slope: float) -> None:
     middles = np.array([(24.0, 0.0), (10.0, -3.0), (8.0, 4.0), (30.0, 9.0), (-12.0, 3.0), (40.0, 20.0)])
     plan = np.repeat(middles, 8, axis=0) + random.uniform(-2.0, 2.0, (48, 2))
     below = -1.8 + slope * plan[:, 0] - random.choice([0.4, 0.9, 2.5, 7.0], 48)
-    found = ClusterDetector().detect(Points.joined([points, Points.of(np.column_stack([plan, below]))]))
-    assert names(found) == ["car", "pedestrian"]
-    assert nearest(found, 25.0, 2.0)[1] < 0.4
+    detections = ClusterDetector().detect(Points.joined([points, Points.of(np.column_stack([plan, below]))]))
+    assert names(detections) == ["car", "pedestrian"]
+    assert nearest(detections, 25.0, 2.0)[1] < 0.4
 
 
 def test_lidar_on_a_pole_that_looks_down_works_in_its_own_frame() -> None:
     mount = rotation_from_yaw_pitch(0.0, np.radians(30.0))
     points = scanned(("car", 20.0, 3.0, 0.5), ("pedestrian", 14.0, -3.0, 0.0), height=12.0, mount=mount)
     pose = {"level_rotation": quaternion_from_rotation(mount), "mount_position": np.zeros(3), "mount_rotation": LEVEL}
-    found = Detections.from_columns(detected(ClusterDetector(), points.columns() | pose))
-    assert names(found) == ["car", "pedestrian"]
-    place = found.position @ mount.T
-    assert np.hypot(*(place[list(found.class_id).index(CLASS_INDEX["car"]), :2] - (20.0, 3.0))) < 0.3
+    detections = Detections.from_columns(detected(ClusterDetector(), points.columns() | pose))
+    assert names(detections) == ["car", "pedestrian"]
+    place = detections.position @ mount.T
+    assert np.hypot(*(place[list(detections.class_id).index(CLASS_INDEX["car"]), :2] - (20.0, 3.0))) < 0.3
 
 
 def test_order_of_points_makes_no_difference() -> None:
@@ -159,8 +159,8 @@ def test_order_of_points_makes_no_difference() -> None:
 )
 def test_no_points_break_it(position: Floats) -> None:
     for detector in (ClusterDetector(), ClusterDetector(min_points=1), NoDetections()):
-        found = detector.detect(Points.of(position.astype(np.float32)))
-        assert not problem_of(found)
+        detections = detector.detect(Points.of(position.astype(np.float32)))
+        assert not problem_of(detections)
 
 
 @settings(max_examples=30, deadline=None)
@@ -170,9 +170,9 @@ def test_random_clouds_give_valid_detections(seed: int, spread: float, count: in
     middles = draw.uniform(-40.0, 40.0, (8, 3)) * (1.0, 1.0, 0.05)
     cloud = middles[draw.integers(0, 8, count)] + draw.normal(0.0, spread, (count, 3)) * (1.0, 1.0, 0.2)
     cloud[draw.random(count) < 0.05] = np.nan
-    found = ClusterDetector(min_points=1).detect(Points.of(cloud))
-    assert not problem_of(found)
-    assert (np.linalg.eigvalsh(found.covariance) > 0.0).all()
+    detections = ClusterDetector(min_points=1).detect(Points.of(cloud))
+    assert not problem_of(detections)
+    assert (np.linalg.eigvalsh(detections.covariance) > 0.0).all()
 
 
 def test_of_very_many_clusters_those_with_the_most_points_are_used() -> None:
@@ -185,11 +185,11 @@ def test_of_very_many_clusters_those_with_the_most_points_are_used() -> None:
     assert len(persons) > 1500
     dense = [np.concatenate([person, person + 0.01]) for person in persons[::30]]
     points = Points.of(np.concatenate([*persons, *dense]))
-    found = ClusterDetector().detect(points)
-    assert 0 < len(found) <= 1000
+    detections = ClusterDetector().detect(points)
+    assert 0 < len(detections) <= 1000
     alone = ClusterDetector().detect(Points.of(np.concatenate([*persons[::30], *dense])))
     assert len(alone) == len(dense)
-    assert all(nearest(found, *place)[1] < 0.05 for place in alone.position[:, :2])
+    assert all(nearest(detections, *place)[1] < 0.05 for place in alone.position[:, :2])
 
 
 @pytest.mark.parametrize(
@@ -204,10 +204,10 @@ def test_of_very_many_clusters_those_with_the_most_points_are_used() -> None:
     ],
 )
 def test_detections_that_no_message_can_hold_are_named(column: str, value: float, message: str) -> None:
-    found = ClusterDetector().detect(scanned(("car", 12.0, 3.0, 0.3)))
-    assert not problem_of(found)
-    getattr(found, column)[:] = value
-    assert re.match(message, problem_of(found))
+    detections = ClusterDetector().detect(scanned(("car", 12.0, 3.0, 0.3)))
+    assert not problem_of(detections)
+    getattr(detections, column)[:] = value
+    assert re.match(message, problem_of(detections))
 
 
 def test_points_that_are_not_numbers_are_left_out() -> None:

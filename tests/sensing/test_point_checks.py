@@ -50,8 +50,8 @@ def test_at_most_a_few_percent_of_real_cars_are_refused(check: Callable[[], Poin
         )
         street, judge = Street(cars, model, speed=draw.uniform(0.0, 12.0), turn=draw.uniform(-0.2, 0.2)), check()
         for frame in range(5):
-            found = street.detections(0.1 * frame, 10 * seed + frame)
-            kept += judge.keep(street.points(0.1 * frame, 10 * seed + frame), found).tolist()
+            detections = street.detections(0.1 * frame, 10 * seed + frame)
+            kept += judge.keep(street.points(0.1 * frame, 10 * seed + frame), detections).tolist()
     assert len(kept) > 200
     assert np.mean(kept) > 0.95
 
@@ -69,8 +69,8 @@ def test_an_object_that_goes_on_or_comes_out_of_cover_is_plausible_and_doubt_is_
     street = Street(np.array([[20.0, 2.0, 0.0, 8.0]]), "OS1-128")
     judge = TemporalCheck()
     for frame in range(6):
-        found = street.detections(0.1 * frame, frame)
-        assert judge.keep(street.points(0.1 * frame, frame), found).all()
+        detections = street.detections(0.1 * frame, frame)
+        assert judge.keep(street.points(0.1 * frame, frame), detections).all()
     hidden = Street(np.array([[10.0, 0.0, 1.57, 0.0], [22.0, 0.0, 0.0, 0.0]]), "OS1-128")
     judge = TemporalCheck()
     judge.check(hidden.points(), boxes(np.array([[10.0, 0.0, -1.05]])))

@@ -50,8 +50,8 @@ def test_an_error_turns_with_its_object_and_stays_when_both_are_turned() -> None
         """(2,) m, in the frame of the car."""
         car = ObjectStates.of(np.array([[0.0, 0.0, 0.75]]), size=np.array([[4.5, 1.8, 1.5]]), yaw=np.array([yaw]))
         pose = np.array([30 * np.cos(bearing), 30 * np.sin(bearing), 1.8]), np.eye(3)
-        found, _ = model.detect(car, np.array([10_000], np.int32), LidarSensor(), *pose, 0.0, stream(0, "frame"))
-        x, y = to_world(found, *pose).position[0, :2]
+        detections, _ = model.detect(car, np.array([10_000], np.int32), LidarSensor(), *pose, 0.0, stream(0, "frame"))
+        x, y = to_world(detections, *pose).position[0, :2]
         return np.array([x * np.cos(yaw) + y * np.sin(yaw), y * np.cos(yaw) - x * np.sin(yaw)])
 
     first = error(0.3, 0.0)

@@ -33,8 +33,8 @@ def watched(detector: Detector, frames: int, period_s: float = 0.1, seed: int = 
     clutter = []
     truth = cars(np.arange(OBJECTS))
     for frame in range(frames):
-        found, ids = mine.detect(truth, RETURNS, LIDAR, *POSE, 0.0, stream(seed, "test", frame))
-        placed = to_world(found, *POSE)
+        detections, ids = mine.detect(truth, RETURNS, LIDAR, *POSE, 0.0, stream(seed, "test", frame))
+        placed = to_world(detections, *POSE)
         real = ids >= 0
         error[frame, ids[real]] = placed.position[real, 0] - truth.position[ids[real], 0]
         score[frame, ids[real]] = placed.score[real]

@@ -52,9 +52,9 @@ class Street:
                 (np.array([(x, -40), (x, 40), (x + 9, 40), (x + 9, -40)], float),), np.array([8.0])
             )
         parts = Parts.of(np.full(len(size), CLASS_INDEX["car"]), size)
-        found = cast(beams, lidar, np.eye(3), objects, parts, walls=walls)
-        firing, channel = np.nonzero(np.isfinite(found.range_m))
-        range_m = found.range_m[firing, channel]
+        scan = cast(beams, lidar, np.eye(3), objects, parts, walls=walls)
+        firing, channel = np.nonzero(np.isfinite(scan.range_m))
+        range_m = scan.range_m[firing, channel]
         range_m = range_m + self.noise_m * np.random.default_rng(seed).standard_normal(len(range_m))
         time = beams.time_s[firing].astype(np.float32)
         fired = beams.directions()[firing, channel] * range_m[:, None]
@@ -74,8 +74,8 @@ class Street:
         seen = np.count_nonzero(inside & (np.abs(z) < CAR[2] / 2), axis=0) >= 10
         noise = draw.normal(0.0, 0.3, (len(size), 3)) * (1.0, 1.0, 0.3)
         yaw = yaw + draw.normal(0.0, np.radians(5.0), len(yaw))
-        found = boxes(local + noise, size * draw.normal(1.0, 0.1, size.shape), yaw)
-        return found.select(seen & (np.hypot(*local[:, :2].T) < found_m))
+        detections = boxes(local + noise, size * draw.normal(1.0, 0.1, size.shape), yaw)
+        return detections.select(seen & (np.hypot(*local[:, :2].T) < found_m))
 
 
 def boxes(position: Floats, size: Floats | None = None, yaw: Floats | None = None) -> Detections:

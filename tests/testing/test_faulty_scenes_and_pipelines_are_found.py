@@ -96,20 +96,20 @@ SCENES = {
 }
 DETECTORS = {
     "WorstFirst.detect with 1000 objects: the best score is not first": detector(
-        "WorstFirst", lambda found, ids, _: (replace(found, score=np.linspace(0.1, 0.9, len(ids))), ids)
+        "WorstFirst", lambda detections, ids, _: (replace(detections, score=np.linspace(0.1, 0.9, len(ids))), ids)
     ),
     "Clairvoyant.detect .*: detects an object without lidar returns": type(
         "Clairvoyant", (CleanDetector,), {"detect": clairvoyant}
     )(),
     "RowByRow.detect with 1000 objects: depends on the order of the rows": detector(
         "RowByRow",
-        lambda found, ids, sensed: (
-            replace(found, position=found.position + sensed[-1].normal(size=(len(ids), 3))),
+        lambda detections, ids, sensed: (
+            replace(detections, position=detections.position + sensed[-1].normal(size=(len(ids), 3))),
             ids,
         ),
     ),
     "Countless.detect .*detections and .* ids, expected equal numbers": detector(
-        "Countless", lambda found, ids, _: (found, ids[:-1])
+        "Countless", lambda detections, ids, _: (detections, ids[:-1])
     ),
 }
 ESTIMATORS = {
