@@ -97,7 +97,7 @@ class PosePert(SlowDrift):
                 offset = moment.position[None, :2] - real.position[:, :2]
                 angle = np.arctan2(offset[:, 1], offset[:, 0])
             else:
-                along, left = path.place(real.position)
+                along, left = path.coordinates(real.position)
                 angle = path.at(along)[1] - 0.5 * np.pi * np.where(left >= 0.0, 1.0, -1.0)
             angle = angle if self._policy == "toward" else angle + np.pi
         return dict(zip(numbers.tolist(), angle.tolist(), strict=True))

@@ -45,7 +45,7 @@ class Path:
         nearest: Floats = np.sqrt((offset * offset).sum(axis=2).min(axis=1))
         return nearest
 
-    def place(self, position: Floats) -> tuple[Floats, Floats]:
+    def coordinates(self, position: Floats) -> tuple[Floats, Floats]:
         """How far along the path positions (n, >= 2) m are, and how far to the left of it, both (n,) m."""
         offset = position[:, None, :2] - self._samples
         along = (offset * offset).sum(axis=2).argmin(axis=1).astype(np.float64)

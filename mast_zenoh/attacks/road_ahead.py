@@ -58,7 +58,7 @@ class EgoOnRoute:
         path, ego = self.path, self._known.ego_sensor
         if path is None or ego is None:
             return
-        scheduled = float(path.place(ego.route.position_at(moment.time_s)[None])[0][0])
+        scheduled = float(path.coordinates(ego.route.position_at(moment.time_s)[None])[0][0])
         if self._scheduled is None:
             now = path_ahead(moment.coverage)
             self.along, self.speed = scheduled, now.speed if now is not None else 0.0
@@ -72,7 +72,7 @@ class EgoOnRoute:
             position: Floats | None = moment.position
         else:
             position = self._seen(moment.seen, path.at(np.array([expected]))[0][0])
-        along = expected if position is None else float(path.place(position[None])[0][0])
+        along = expected if position is None else float(path.coordinates(position[None])[0][0])
         if moment.elapsed_s > 0.0:
             self.speed += _NEWEST * (max(along - self.along, 0.0) / moment.elapsed_s - self.speed)
         self.along = along
@@ -98,7 +98,7 @@ class EgoOnRoute:
         """How far ahead of the ego, and how far left of its path objects are, both (n,) m; inf without a path."""
         if self.path is None:
             return np.full(len(objects), np.inf), np.full(len(objects), np.inf)
-        along, left = self.path.place(objects.position)
+        along, left = self.path.coordinates(objects.position)
         return along - self.along, left
 
     def distance(self, objects: ObjectStates) -> Floats:

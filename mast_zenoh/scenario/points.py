@@ -14,7 +14,7 @@ from mast_zenoh.scenes.recording import Recording
 #: The map of the wires of points; added where these leave the simulator.
 MAP = "points.toml"
 #: Where objects are detected in points: by a node between sensor and agent, by the agent, or where they are made.
-PLACES = ("detector", "agent", "simulator")
+DETECTED_BY = ("detector", "agent", "simulator")
 #: How many detections of a frame a detector of points may have beyond those of the detection model.
 MORE_DETECTIONS = 64
 #: Keys of the part: those of `ScannedPoints`; the others with their defaults, and with their meanings.
@@ -28,7 +28,7 @@ OTHERS: dict[str, Any] = {
 }
 KEYS = {
     "detector": "finds objects in the points, a `PointDetector`; each lidar has one of its own",
-    "detected_by": f"where that is done, one of {', '.join(PLACES)}: in a node `detector_AGENT` between lidar and "
+    "detected_by": f"where that is done, one of {', '.join(DETECTED_BY)}: in a node `detector_AGENT` between lidar and "
     "agent; in the agent; or where the points are made, so that none are sent",
     "late_frames": "frames, by which the detections of nodes are late; in real time, the time that they take is added",
     "node": "of the nodes that detect: keys that every node may have, such as `python`, and parameters of their class",
@@ -48,16 +48,16 @@ def described(path: Path, scenario: Mapping[str, Any]) -> dict[str, Any]:
         if key not in (*SCANS, *OTHERS):
             raise ConfigurationError(f"{path}: points.{key}: unknown key{nearest(key, (*SCANS, *OTHERS))}")
     complete: dict[str, Any] = {**OTHERS, **options}
-    place = complete["detected_by"]
-    if place not in PLACES:
-        raise ConfigurationError(f"{path}: points.detected_by: found {place!r}{nearest(str(place), PLACES)}")
-    if place != "detector" and complete["node"]:
+    by = complete["detected_by"]
+    if by not in DETECTED_BY:
+        raise ConfigurationError(f"{path}: points.detected_by: found {by!r}{nearest(str(by), DETECTED_BY)}")
+    if by != "detector" and complete["node"]:
         raise ConfigurationError(
             f"{path}: points.node: found {complete['node']!r}, expected it with detected_by=detector"
         )
     late = complete["late_frames"]
-    if type(late) is not int or late < 0 or (late and place != "detector"):
-        expected = "a whole number from 0" if place == "detector" else "0, as detected_by is not detector"
+    if type(late) is not int or late < 0 or (late and by != "detector"):
+        expected = "a whole number from 0" if by == "detector" else "0, as detected_by is not detector"
         raise ConfigurationError(f"{path}: points.late_frames: found {late!r}, expected {expected}")
     if complete["recorded"] not in (None, True, False):
         raise ConfigurationError(

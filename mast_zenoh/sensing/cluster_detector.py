@@ -131,7 +131,7 @@ def fitted_rectangles(
 
 
 def _along(cosine: Floats, sine: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Places along and across an axis, of x and y; with the opposite sine, x and y of places along and across it."""
+    """How far x and y are along and across an axis; with the opposite sine, x and y of what is along and across it."""
     return x * cosine + y * sine, y * cosine - x * sine
 
 

@@ -91,8 +91,8 @@ class Clutter:
         for (name, (least, most, above)), count in zip(_SIZES.items(), counts, strict=True):
             for _ in range(count if len(ways) else 0):
                 size = random.uniform(least, most)
-                if (place := area.find(size, random)) is not None:
-                    (x, y), yaw = place
+                if (pose := area.find(size, random)) is not None:
+                    (x, y), yaw = pose
                     placed.append((x, y, ground_m + above + size[2] / 2, *size, yaw, _ROW[name]))
                     if name == "sign":
                         placed.append((x, y, ground_m + above / 2, _POST_M, _POST_M, above, yaw, _ROW["post"]))

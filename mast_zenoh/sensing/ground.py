@@ -38,9 +38,9 @@ class GroundGrid(NamedTuple):
 
     def height_of(self, position: Floats) -> Floats:
         """(n,) m, of positions (n, 3) m above it; infinite beyond its ends, and without any points."""
-        place = np.floor((position[:, :2] * 1000.0 + self.reach_mm) / _CELL).astype(np.int64)
-        inside = ((place >= 0) & (place < len(self.z_mm))).all(axis=1)
-        row, column = np.where(inside, place.T, 0)
+        cell = np.floor((position[:, :2] * 1000.0 + self.reach_mm) / _CELL).astype(np.int64)
+        inside = ((cell >= 0) & (cell < len(self.z_mm))).all(axis=1)
+        row, column = np.where(inside, cell.T, 0)
         z_mm = self.z_mm[row, column]
         return np.where(inside & (z_mm < _NONE // 2), position[:, 2] - z_mm / 1000.0, np.inf)
 

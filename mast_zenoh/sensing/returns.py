@@ -21,7 +21,7 @@ from mast_zenoh.arrays.states import Floats, Ints
 from mast_zenoh.kernels import kernel
 from mast_zenoh.sensing.beams import Beams
 from mast_zenoh.sensing.points import Points, Singles
-from mast_zenoh.sensing.scan import Moving, Scan, firing_axes, firings, place_of
+from mast_zenoh.sensing.scan import Moving, Scan, ScanPose, firing_axes, firings
 
 #: What returned a point that is no surface, beside `scan.GROUND` and `scan.WALL`.
 RAIN, DUST = -4, -5
@@ -315,10 +315,10 @@ def _normal() -> Floats:
 
 def _firings(beams: Beams, lidar: Moving, mount: Floats) -> Firings:
     """The beams of a lidar that moves."""
-    place = place_of(lidar, mount)
+    pose = ScanPose.of(lidar, mount)
     columns, channels = firings(beams)
-    origin, *axes = firing_axes(columns, place)
+    origin, *axes = firing_axes(columns, pose)
     rotation = rotation_from_yaw(float(lidar.yaw[0])) @ mount
     local = np.stack([axis @ rotation for axis in axes], axis=-1)
-    parts = (origin - place.position) @ rotation, local, channels, beams.time_s
+    parts = (origin - pose.position) @ rotation, local, channels, beams.time_s
     return Firings(*(each.astype(np.float32) for each in parts))

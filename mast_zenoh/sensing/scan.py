@@ -72,7 +72,7 @@ def cast(
     return Scan(
         *nearest_surfaces(
             *firings(beams),
-            place_of(lidar, mount, ground_m),
+            ScanPose.of(lidar, mount, ground_m),
             objects,
             _heading(objects.yaw),
             parts,
@@ -93,7 +93,7 @@ def _keep_freed_memory() -> None:
     np.empty(1 << 24, np.uint8)
 
 
-class Place(NamedTuple):
+class ScanPose(NamedTuple):
     """A lidar at the time of its scan.
 
     position (3,) m, velocity (3,) m/s, heading (2,) cosine and sine of its yaw, turn rad/s, mount (3, 3), ground_m m
@@ -106,10 +106,10 @@ class Place(NamedTuple):
     mount: Floats
     ground_m: float
 
-
-def place_of(lidar: Moving, mount: Floats, ground_m: float = 0.0) -> Place:
-    """The place of a lidar; see `cast`."""
-    return Place(lidar.position[0], lidar.velocity[0], _heading(lidar.yaw)[0], float(lidar.turn[0]), mount, ground_m)
+    @classmethod
+    def of(cls, lidar: Moving, mount: Floats, ground_m: float = 0.0) -> ScanPose:
+        """That of a lidar; see `cast`."""
+        return cls(lidar.position[0], lidar.velocity[0], _heading(lidar.yaw)[0], float(lidar.turn[0]), mount, ground_m)
 
 
 def firings(beams: Beams) -> tuple[Floats, Floats]:
@@ -121,12 +121,12 @@ def firings(beams: Beams) -> tuple[Floats, Floats]:
     )
 
 
-def firing_axes(columns: Floats, place: Place) -> tuple[Floats, Floats, Floats, Floats]:
+def firing_axes(columns: Floats, pose: ScanPose) -> tuple[Floats, Floats, Floats, Floats]:
     """Where the lidar is at each azimuth (m, 3) m, and unit vectors (m, 3) along it, to its left, up: world frame."""
     time, cosine, sine = columns
-    rotation = _rotations(_turned(place.heading, place.turn * time), place.mount)
+    rotation = _rotations(_turned(pose.heading, pose.turn * time), pose.mount)
     return (
-        place.position + place.velocity * time[:, None],
+        pose.position + pose.velocity * time[:, None],
         cosine[:, None] * rotation[:, :, 0] + sine[:, None] * rotation[:, :, 1],
         cosine[:, None] * rotation[:, :, 1] - sine[:, None] * rotation[:, :, 0],
         rotation[:, :, 2],
@@ -137,7 +137,7 @@ def firing_axes(columns: Floats, place: Place) -> tuple[Floats, Floats, Floats, 
 def nearest_surfaces(
     columns: Floats,
     channels: Floats,
-    place: Place,
+    pose: ScanPose,
     objects: Moving,
     heading: Floats,
     parts: Parts,
@@ -154,10 +154,10 @@ def nearest_surfaces(
     windows, wall_windows: (k, 5) row of an object or wall, azimuths from and to, channels from and to: may be met
     """
     time = columns[0]
-    origin, ahead, left, up = firing_axes(columns, place)
+    origin, ahead, left, up = firing_axes(columns, pose)
     fall = ahead[:, 2:] * channels[0] + left[:, 2:] * channels[1] + up[:, 2:] * channels[2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        range_m = (place.ground_m - origin[:, 2:]) / fall
+        range_m = (pose.ground_m - origin[:, 2:]) / fall
     down = (fall < 0.0) & (range_m >= 0.0) & (range_m <= max_range_m)
     source = np.where(down, GROUND, NOTHING).astype(np.int32)
     scan = Scan(np.where(down, range_m, np.inf), source, np.where(down, -fall, 0.0))
@@ -223,9 +223,9 @@ def _into_part(origin: Floats, beam: Floats, low: Floats, high: Floats) -> tuple
     height = high[0] - low[0]
     enter, slope, missed = np.full(beam.shape[:-1], -1.0), np.zeros(beam.shape[:-1]), np.zeros(beam.shape[:-1], bool)
     planes = [(2, 0.0, low[0], -1.0), (2, 0.0, high[0], 1.0)]
-    for place, (axis, side) in enumerate(((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0)), 1):
-        lean = (high[place] - low[place]) / height
-        planes.append((axis, lean, low[place] - lean * low[0], side))
+    for column, (axis, side) in enumerate(((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0)), 1):
+        lean = (high[column] - low[column]) / height
+        planes.append((axis, lean, low[column] - lean * low[0], side))
     faces = []
     for axis, lean, at, side in planes:
         before = side * (origin[..., axis] - lean * origin[..., 2] - at)

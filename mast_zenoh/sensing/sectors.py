@@ -16,7 +16,7 @@ from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.sensing.beams import Beams
 from mast_zenoh.sensing.points import Points, Singles
 from mast_zenoh.sensing.raycast import Walls
-from mast_zenoh.sensing.scan import Moving, Place, firings, nearest_surfaces
+from mast_zenoh.sensing.scan import Moving, ScanPose, firings, nearest_surfaces
 from mast_zenoh.sensing.shapes import Parts
 
 #: m, far below any ground that a beam reaches: a phantom is cast without the ground.
@@ -154,7 +154,7 @@ class Sector:
         beams = self.channels.elevation, self.channels.offset, np.zeros(f), 0.0, longest_m
         range_m, _, _ = nearest_surfaces(
             *firings(Beams(self.azimuth, *beams)),
-            Place(zero, zero, np.array([1.0, 0.0]), 0.0, np.ascontiguousarray(self.motion.rotation), NO_GROUND_M),
+            ScanPose(zero, zero, np.array([1.0, 0.0]), 0.0, np.ascontiguousarray(self.motion.rotation), NO_GROUND_M),
             Moving(middle[None], zero[None], np.array([yaw]), np.zeros(1)),
             np.array([[np.cos(yaw), np.sin(yaw)]]),
             parts,
@@ -187,7 +187,7 @@ def ordered(points: Points) -> Points:
 
 
 def nearest(ascending: Floats, values: Floats) -> Ints:
-    """(…) places of the elements of (k,), ascending, that are nearest to values (…)."""
+    """(…) rows of the elements of (k,), ascending, that are nearest to values (…)."""
     after = np.clip(np.searchsorted(ascending, values), 1, max(len(ascending) - 1, 1))
     before = after - 1
     after = np.minimum(after, len(ascending) - 1)

@@ -70,7 +70,7 @@ def moving(x: float, y: float, vx: float, vy: float, number: int, length_m: floa
 def test_places_on_a_path_are_how_far_along_and_how_far_to_the_left() -> None:
     path = path_ahead(Coverage(street("ego"), (), 0.0))
     assert path is not None
-    along, left = path.place(np.array([[-49.7, 2.0], [10.25, -3.5]]))
+    along, left = path.coordinates(np.array([[-49.7, 2.0], [10.25, -3.5]]))
     assert np.allclose(along, [10.3, 70.25])
     assert np.allclose(left, [2.0, -3.5])
 

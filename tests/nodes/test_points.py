@@ -16,7 +16,7 @@ from mast_zenoh.errors import ConfigurationError, NodeDied
 from mast_zenoh.mesh.inproc import InProcess
 from mast_zenoh.messages.schemas import Message
 from mast_zenoh.run_folder.recording.reader import read
-from mast_zenoh.scenario.points import PLACES
+from mast_zenoh.scenario.points import DETECTED_BY
 from mast_zenoh.sensing.beams import MODELS
 from mast_zenoh.sensing.point_detector import PointDetector
 from mast_zenoh.sensing.points import Points
@@ -84,7 +84,7 @@ def tracks(run: Run, agent: str) -> list[Message]:
     return run.decoded(f"agent/{agent}/tracks", "tracks")
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", DETECTED_BY)
 def test_tracks_do_not_depend_on_where_objects_are_detected(place: str) -> None:
     for agent in AGENTS:
         assert [m.body["position"].tolist() for m in tracks(played(place), agent)] == [
@@ -131,7 +131,7 @@ def looking(place: str) -> Run:
     return Run(tiny(frames=FRAMES, edit=edit))
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", DETECTED_BY)
 def test_views_show_the_free_space_of_scans_wherever_it_is_measured(place: str) -> None:
     for agent in AGENTS:
         views = [run.decoded(f"agent/{agent}/view", "view") for run in (looking(place), looking("detector"))]
@@ -192,7 +192,7 @@ def test_an_attack_that_returns_equal_points_is_reported_as_no_change() -> None:
     assert run.messages["agent/ego/points"] == Run(resolved(frames=2)).messages["agent/ego/points"]
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", DETECTED_BY)
 def test_no_detector_can_write_into_the_points_that_it_gets(place: str) -> None:
     world = resolved(frames=1, detector=dict(type="Careless"), detected_by=place)
     if place == "simulator":
