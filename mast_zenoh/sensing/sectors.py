@@ -217,8 +217,7 @@ class BeamMemory:
     def near(self, points: Points, azimuth: float, half_rad: float) -> Sector:
         """The firings of the scan at the last pose within `half_rad` of an azimuth, both rad; may raise NoBeams."""
         if self._channels is None or self._poses <= 2:  # the motion is known from the second pose on
-            fired = self._motion.as_fired(points.position, points.time_s)
-            self._channels = ChannelAngles.of(fired, points)
+            self._channels = ChannelAngles.of(self._motion.as_fired(points.position, points.time_s), points)
         return Sector.near(points, self._motion, self._channels, azimuth, half_rad)
 
 

@@ -333,7 +333,7 @@ def test_an_impossible_number_is_refused_with_its_name(name: str, make: Any) -> 
 
 
 def test_a_phantom_on_the_wire_of_one_lidar_becomes_a_detection_of_that_agent_alone() -> None:
-    def found(attack: dict[str, Any] | None) -> dict[str, list[int]]:
+    def detections(attack: dict[str, Any] | None) -> dict[str, list[int]]:
         def edit(content: dict[str, Any]) -> None:
             content["points"] = dict(detector=dict(type="ClusterDetector"), lidar="VLP-16", clutter=None)
             if attack:
@@ -347,7 +347,7 @@ def test_a_phantom_on_the_wire_of_one_lidar_becomes_a_detection_of_that_agent_al
             for agent in ("ego", "infra_1")
         }
 
-    quiet = found(None)
-    spoofed = found(dict(type="CaoInjection", start_s=0.2, place=dict(type="Following", **SURE)))
+    quiet = detections(None)
+    spoofed = detections(dict(type="CaoInjection", start_s=0.2, place=dict(type="Following", **SURE)))
     assert [a - b for a, b in zip(spoofed["ego"], quiet["ego"], strict=True)] == [0, 0, 1, 1, 1]
     assert spoofed["infra_1"] == quiet["infra_1"]

@@ -126,8 +126,8 @@ def test_detections_that_come_after_the_next_frame_has_begun_count_for_nothing(h
 
 def test_a_detector_that_fails_finds_nothing_in_that_scan_and_the_run_names_it() -> None:
     run = Run(resolved("FailingDetector"))
-    found = run.decoded("agent/ego/detections", "detections")
-    assert [len(message.body["yaw"]) for message in found] == [0] * FRAMES
+    detections = run.decoded("agent/ego/detections", "detections")
+    assert [len(message.body["yaw"]) for message in detections] == [0] * FRAMES
     failure = run.failures[NODE]["detect"]
     assert (failure.count, failure.exception) == (FRAMES // 2, "RuntimeError: no network")
 
@@ -192,9 +192,9 @@ def test_bad_scans_are_refused_and_cost_one_message_each(honest: Run) -> None:
         assert not bench.host.failures
         bench.deliver("agent/ego/points", scan)
         if node == NODE:
-            (found,) = [message for key, message in bench.said if key.endswith("detections") and message.header.frame]
+            (actual,) = [message for key, message in bench.said if key.endswith("detections") and message.header.frame]
             expected = honest.decoded("agent/ego/detections", "detections")[1]
-            np.testing.assert_array_equal(found.body["position"], expected.body["position"])
+            np.testing.assert_array_equal(actual.body["position"], expected.body["position"])
 
 
 def strange_scans(scan: Message) -> dict[str, dict[str, Any]]:
@@ -225,8 +225,8 @@ def test_strange_scans_are_detected_in_and_the_next_scan_is_as_before(honest: Ru
         assert len(sent) == 1, what
         assert not bench.host.failures, what
         bench.deliver("clock", clock(1))
-        ((_, found),) = bench.deliver("agent/ego/points", scan)
-        np.testing.assert_array_equal(found.body["position"], expected.body["position"], what)
+        ((_, detections),) = bench.deliver("agent/ego/points", scan)
+        np.testing.assert_array_equal(detections.body["position"], expected.body["position"], what)
 
 
 CHECKED = dict(

@@ -171,8 +171,8 @@ def test_an_adversary_sits_between_lidar_and_detector() -> None:
     run = Run(tiny(frames=FRAMES, edit=edit))
     arriving = [len(message.body["channel"]) for message in run.decoded("agent/ego/points", "points")]
     assert [count == 0 for count in arriving] == [bool(frame % 2) for frame in range(FRAMES)]
-    found = [len(message.body["yaw"]) for message in run.decoded("agent/ego/detections", "detections")]
-    assert found[1::2] == [0] * (FRAMES // 2)
+    counts = [len(message.body["yaw"]) for message in run.decoded("agent/ego/detections", "detections")]
+    assert counts[1::2] == [0] * (FRAMES // 2)
     assert (
         run.messages["agent/infra_1/points"]
         == Run(resolved(clutter=dict(type="Clutter"))).messages["agent/infra_1/points"]

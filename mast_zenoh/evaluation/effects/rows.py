@@ -349,28 +349,28 @@ def _times(messages: Sequence[ChangedMessage], row: Ints) -> dict[str, Ints]:
 
 def changed_scans(messages: Sequence[ChangedMessage]) -> tuple[ObjectChanges, tuple[tuple[str, ...], ...]]:
     """As `changed_objects`, of scans: the objects that their points have lost or gained."""
-    found = [
+    changes = [
         (row, effect, position, points)
         for row, item in enumerate(messages)
         for effect, objects in zip((REMOVED, INSERTED), scans.compared(item.before, item.after), strict=True)
         for position, points in objects
     ]
-    row, effect, points = (np.array([each[k] for each in found], np.int64) for k in (0, 1, 3))
-    position = np.array([each[2] for each in found]).reshape(-1, 3)
+    row, effect, points = (np.array([each[k] for each in changes], np.int64) for k in (0, 1, 3))
+    position = np.array([each[2] for each in changes]).reshape(-1, 3)
     gained = (effect == INSERTED)[:, None]
     reference = np.stack([np.stack([_reference(item.before), _reference(item.after)]) for item in messages], axis=1)
     return ObjectChanges(
         **_times(messages, row),
         effect=effect,
-        columns=text([""] * len(found)),
-        id=np.full(len(found), -1, np.int64),
+        columns=text([""] * len(changes)),
+        id=np.full(len(changes), -1, np.int64),
         before=np.where(gained, np.nan, position),
         after=np.where(gained, position, np.nan),
-        velocity=np.full((len(found), 3), np.nan),
+        velocity=np.full((len(changes), 3), np.nan),
         references=reference[:, row],
         of_agent=True,
-        whole=np.zeros(len(found), bool),
-        frames_late=np.zeros(len(found), np.int64),
+        whole=np.zeros(len(changes), bool),
+        frames_late=np.zeros(len(changes), np.int64),
         points=points,
     ), tuple(
         tuple(name for name, column in item.before.items() if not _equal(column, item.after[name])) for item in messages

@@ -59,7 +59,8 @@ def objects_of(points: Points, level: Floats, ground: GroundGrid) -> Iterator[tu
     standing = ground.height_of(upright) > CLEARANCE_M
     for rows in _components(upright):
         if np.count_nonzero(standing[rows]) >= LEAST_POINTS:
-            yield level.T @ _middle(upright[rows]), len(rows)
+            part = upright[rows]
+            yield level.T @ ((part.min(axis=0) + part.max(axis=0)) / 2.0), len(rows)
 
 
 def _components(position: Floats) -> Iterator[Ints]:
@@ -72,12 +73,7 @@ def _components(position: Floats) -> Iterator[Ints]:
     yield from np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if len(order) else ()
 
 
-def _middle(position: Floats) -> Floats:
-    """(3,) m, the middle of the box around points (n, 3)."""
-    return np.asarray((position.min(axis=0) + position.max(axis=0)) / 2.0)
-
-
-def compared(before: Body, after: Body) -> tuple[list[tuple[Floats, int]], list[tuple[Floats, int]]]:
+def compared(before: Body, after: Body) -> list[list[tuple[Floats, int]]]:
     """The objects that a scan has lost, and those that it has gained: (position (3,) m, points) each.
 
     before, after: columns of `points` messages; in the frame of the lidar
@@ -86,5 +82,4 @@ def compared(before: Body, after: Body) -> tuple[list[tuple[Floats, int]], list[
     levels = [rotation_from_quaternion(body["level_rotation"]) for body in (before, after)]
     _, ground = points_and_ground(scans[0].turned(levels[0]).position)
     changed = zip(scans, changed_points(*scans), levels, strict=True)
-    removed, inserted = (list(objects_of(scan.select(rows), level, ground)) for scan, rows, level in changed)
-    return removed, inserted
+    return [list(objects_of(scan.select(rows), level, ground)) for scan, rows, level in changed]

@@ -116,7 +116,6 @@ class Scanner:
         self._period_s = recording.period_ns * 1e-9
         self._beams = [self._beams_of(agent) for agent in recording.agents]
         self._recorded = recording.scans
-        self._mounts = [quaternion_from_rotation(agent.sensor.mount_rotation) for agent in recording.agents]
         clutter = points.clutter or Clutter(hedges=0, kerbs=0, signs=0, poles=0)
         occupied, radius = _occupied(recording)
         extent = np.stack([occupied.min(axis=0) - _NEAR_M, occupied.max(axis=0) + _NEAR_M])
@@ -188,7 +187,7 @@ class Scanner:
             level = rotation_from_yaw(-float(facing[row])) @ active
             frames = {
                 "mount_position": agent.sensor.mount_position,
-                "mount_rotation": self._mounts[row],
+                "mount_rotation": quaternion_from_rotation(agent.sensor.mount_rotation),
                 "level_rotation": quaternion_from_rotation(level),
             }
             if (points := self._recorded_scan(frame, row)) is not None:
