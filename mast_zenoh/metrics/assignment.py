@@ -237,10 +237,12 @@ class Places:
         return len(self.group)
 
     @classmethod
-    def of_rows(cls, columns: Mapping[str, NDArray[Any]], rows: Bools, prefix: str = "") -> Places:
-        """Of some rows of a table with the columns `frame`, which is the group, and x, y and z, with a prefix."""
-        position = np.stack([columns[f"{prefix}{axis}"][rows] for axis in "xyz"], axis=1)
-        return cls(columns["frame"][rows].astype(np.int64), position.astype(np.float64))
+    def of_rows(
+        cls, table: Mapping[str, NDArray[Any]], rows: Bools | Ints | slice = slice(None), when: str = ""
+    ) -> Places:
+        """By frame, x and y, at z = 0, of some rows of a table. when: prefix of the columns, such as "after_"."""
+        x, y = (np.asarray(table[f"{when}{axis}"][rows], np.float64) for axis in "xy")
+        return cls(np.asarray(table["frame"][rows], np.int64), np.stack([x, y, np.zeros(len(x))], axis=1))
 
 
 def nearest(places: Places, among: Places, radius: float) -> tuple[Ints, Floats]:

@@ -176,8 +176,7 @@ def _boxes(run: Run, changes: dict[str, NDArray[Any]], rows: Ints) -> tuple[Floa
 def _look_up(scene: Recording, changes: dict[str, NDArray[Any]], rows: Ints, sees: Bools) -> None:
     """Set which agents see the real objects that were hidden."""
     frames = np.repeat(np.arange(len(scene)), np.diff(scene.truth_start))
-    position = np.column_stack([changes[axis][rows] for axis in "xyz"]).astype(np.float64)
-    real, _ = nearest(Places(changes["frame"][rows], position), Places(frames, scene.truth.position), HIDDEN_M)
+    real, _ = nearest(Places.of_rows(changes, rows), Places(frames, scene.truth.position), HIDDEN_M)
     found: Bools = real >= 0
     sees[rows[found]] = scene.points[real[found]] >= MIN_RETURNS
 

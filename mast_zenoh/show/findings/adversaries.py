@@ -13,7 +13,7 @@ from mast_zenoh.metrics.achievement import DISPLACED_M
 from mast_zenoh.metrics.assignment import Places, nearest, occurs
 from mast_zenoh.metrics.estimates import LOCAL, MISSION, PICTURE
 from mast_zenoh.run_folder.finding import Finding
-from mast_zenoh.runs.files import Table, are_in, column, rows
+from mast_zenoh.runs.files import Table, are_in, rows
 from mast_zenoh.runs.interposers import BAD, OF_OBJECTS, WITH_COLUMN, Interposer, hostile, interposers
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.comparison import Reference, of_errors
@@ -113,11 +113,11 @@ def made_of_points(run: Run, interposer: Interposer) -> list[Finding]:
     if table is None or objects is None or not interposer.points.get("inserted"):
         return []
     inserted = (table["interposer"] == interposer.name) & (table["effect"] == "inserted") & (table["points"] > 0)
-    shown, result = _places_of(rows(table, inserted), "after_"), []
+    shown, result = Places.of_rows(table, inserted, "after_"), []
     for estimator in (PICTURE, MISSION):
         false = (objects["estimator"] == estimator) & (objects["agent"] == run.ego) & (objects["cause"] == "inserted")
         false &= np.array([interposer.name in by.split("+") for by in objects["by"].tolist()], bool)
-        tracks = _places_of(rows(objects, false))
+        tracks = Places.of_rows(objects, false)
         row, _ = nearest(tracks, shown, _GATE_M)
         made = table["points"][inserted][row[row >= 0]]
         if len(made):
@@ -311,10 +311,5 @@ def _on_real_objects(run: Run, targets: Table) -> float:
     objects = run.files.objects
     if objects is None:
         return 0.0
-    truth = rows(objects, (objects["kind"] == "truth") & (objects["estimator"] == PICTURE))
-    return float((nearest(_places_of(targets), _places_of(truth), run.gate_m)[0] >= 0).mean())
-
-
-def _places_of(table: Table, prefix: str = "") -> Places:
-    x, y = (column(table, f"{prefix}{axis}") for axis in "xy")
-    return Places(table["frame"], np.stack([x, y, np.zeros(len(x))], axis=1))
+    truth = Places.of_rows(objects, (objects["kind"] == "truth") & (objects["estimator"] == PICTURE))
+    return float((nearest(Places.of_rows(targets), truth, run.gate_m)[0] >= 0).mean())

@@ -121,13 +121,13 @@ def detected_lies(lies: _Columns, withheld: Bools, suspended: Bools) -> dict[str
 
 def _withheld(run: Run, lies: _Columns) -> tuple[Bools, Bools]:
     """(n,) whether the object of each row is withheld, and whether its agent is suspended; False without trust."""
-    every = np.ones(len(lies["frame"]), bool)
+    none = np.zeros(len(lies["frame"]), bool)
     try:
         agents, objects = from_arrow(run.trust), from_arrow(run.trust_objects)
     except RunFolderError:
-        return ~every, ~every
+        return none, none
     withheld = objects["withheld"].astype(bool)
-    match, _ = nearest(Places.of_rows(lies, every), Places.of_rows(objects, withheld), GATE_M)
+    match, _ = nearest(Places.of_rows(lies), Places.of_rows(objects, withheld), GATE_M)
     rows = agents["state"] == "suspended"
     suspended = set(zip(agents["frame"][rows].tolist(), agents["agent"][rows].tolist(), strict=True))
     liars = zip(lies["frame"].tolist(), lies["agent"].tolist(), strict=True)
