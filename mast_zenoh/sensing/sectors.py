@@ -52,9 +52,7 @@ class LidarMotion:
 
 def _turned(vectors: Floats, angle: Floats) -> Floats:
     """Vectors (n, 3) turned about z by (n, 1) rad."""
-    cosine, sine = np.cos(angle[:, 0]), np.sin(angle[:, 0])
-    x, y, z = vectors.T
-    return np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
+    return np.column_stack([along_and_across(vectors, -angle[:, 0]), vectors[:, 2]])
 
 
 @dataclass(frozen=True, eq=False)
