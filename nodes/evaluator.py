@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mast_zenoh.arrays.geometry import states_to_world
+from mast_zenoh.arrays.geometry import rotation_from_quaternion, states_to_world
 from mast_zenoh.arrays.states import ObjectStates
 from mast_zenoh.driving import CarLimits, Command, RouteAhead
 from mast_zenoh.driving.motion import HOLD_S, TAKE_OVER_S
@@ -24,6 +24,7 @@ from mast_zenoh.evaluation import Evaluation, RunData, RunScoring, ego_of
 from mast_zenoh.evaluation.driven import PlayedDrivers, check_played, driver_ports, drivers_of
 from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth, TrueFrame
 from mast_zenoh.evaluation.effects import ReportedPose
+from mast_zenoh.evaluation.effects.scans import POINTS
 from mast_zenoh.evaluation.estimate_wires import estimates_on
 from mast_zenoh.evaluation.from_effects import SENSED
 from mast_zenoh.evaluation.run_data import ArrivedEstimate, Heard, OwnView
@@ -185,6 +186,9 @@ class Evaluator(Node):
         self.data.relays = self.data.relays or any(wire.message == "relayed" for wire in wiring.wires)
         for route in self.routes.values():
             self.data.record.expect(route.series)
+        for wire in wiring.wires:
+            if self.takes.get(wire.legs[0].key) == self.take_detections:
+                self.data.detected.setdefault(wire.subject, {})
         context.ignore(set(wiring.keys()) - self.routes.keys() - self.metered)
 
     def on_everything(self, message: Overheard, context: Context) -> None:
@@ -246,6 +250,12 @@ class Evaluator(Node):
         """Store an agent's pose, to which its detections are relative."""
         pose = ReportedPose(message.body["position"].copy(), message.body["rotation"].copy())
         self.data.poses[message.wire.subject, message.header.frame] = pose
+
+    def take_detections(self, message: Overheard, route: KeyUse) -> None:
+        """Store where something was detected in a scan."""
+        body = message.body
+        position = body["position"] @ rotation_from_quaternion(body["mount_rotation"]).T + body["mount_position"]
+        self.data.detected[message.wire.subject][message.header.frame] = position
 
     def take_estimate(self, message: Overheard, route: KeyUse) -> None:
         """Store an estimate, as sent, as another node received it, or both."""
@@ -379,6 +389,7 @@ def routes(
     shared: dict[str, str] = {}
     ports = driver_ports(wiring, played)
     sensed = {agent_of(wire.subject) for wire in wiring.wires if wire.interposers and wire.message in SENSED}
+    scanned = {wire.subject for wire in wiring.wires if wire.message == POINTS}
     for wire in wiring.wires:
         source = wire.legs[0]
         if len(wire.every_leg) > 1:
@@ -391,6 +402,8 @@ def routes(
             takes[source.key] = f"take_{wire.message}"
         elif wire.message == "pose" and wire.subject in sensed:
             takes[source.key] = "take_pose"
+        elif wire.message == "detections" and wire.subject in scanned:
+            takes[source.key] = "take_detections"
     for carried in estimates_on(wiring, agents):
         series[carried.key].append(carried.series)
         takes[carried.key] = "take_estimate"

@@ -20,6 +20,7 @@ from mast_zenoh.evaluation.from_effects import (
     effects_of_absence,
     manipulations,
     stopped_by_links,
+    without_undetected,
     without_unseen,
 )
 from mast_zenoh.evaluation.run_data import RunData, ego_of
@@ -160,6 +161,7 @@ class Evaluation:
             data.influences,
         )
         interposed = earlier.episodes.numbered(interposed)
+        interposed = without_undetected(interposed, effects, data.detected, data.poses, self.attribution.object_m)
         spoofs = [meter.effects.spoofs for meter in data.meter.meters]
         duration = round(self.attribution.coast_s / data.period_s)
         interposed = add_pose_manipulations(interposed, effects, spoofs, scores, min_points, duration)

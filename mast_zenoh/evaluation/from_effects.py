@@ -12,7 +12,8 @@ from mast_zenoh.arrays.geometry import rotation_from_quaternion
 from mast_zenoh.arrays.states import Bools, Floats, Ints
 from mast_zenoh.evaluation.effects import EFFECTS, Effects
 from mast_zenoh.evaluation.effects.passages import Spoof
-from mast_zenoh.evaluation.effects.table import insertions
+from mast_zenoh.evaluation.effects.scans import POINTS
+from mast_zenoh.evaluation.effects.table import Poses, insertions
 from mast_zenoh.evaluation.estimate_wires import Influences
 from mast_zenoh.metrics import AttributionLimits, Boxes, Manipulations, Scores
 from mast_zenoh.metrics.assignment import Places, nearest, occurs
@@ -25,7 +26,7 @@ from mast_zenoh.wiring.model import InterposedWire, agent_of
 _OF_BOX = {"size", "yaw", "class_id"}
 
 #: Types of messages from sensors, in their frame: a single one makes and loses no track.
-SENSED = ("detections", "points")
+SENSED = ("detections", POINTS)
 
 #: Share of the frames of a second in which an agent that tracks an object sees it.
 SEEN_SHARE = 0.8
@@ -218,6 +219,40 @@ def without_unseen(
         unseen = rows[(count < SEEN_SHARE * begin) | (lost < LEAST_DETECTIONS)]
         object_ids[unseen] = -1 - len(object_ids) - np.arange(len(unseen))
     return replace(manipulations, object=object_ids)
+
+
+def without_undetected(
+    manipulations: Manipulations,
+    effects: Effects,
+    detected: Mapping[str, Mapping[int, Floats]],
+    poses: Poses,
+    reach_m: float,
+) -> Manipulations:
+    """Manipulations of points as far as they led a detector.
+
+    Inserted points count if something is detected there in the same scan, removed ones if nothing is, and both only as
+    long as there are detections. Where nobody can know what is detected, all count.
+
+    detected: by subject and frame, (n, 3) m, frame of the agent
+    reach_m:  m, maximum distance from the middle of points to what is detected in them
+    """
+    counts, lasts = np.ones(len(manipulations), bool), manipulations.lasts.copy()
+    for index, passage in enumerate(effects.passages):
+        if passage.message != POINTS or passage.subject not in detected:
+            continue
+        rows = (manipulations.passage == index).nonzero()[0]
+        frame, agent = manipulations.frame[rows], agent_of(passage.subject)
+        scans = {key: position for key, position in detected[passage.subject].items() if (agent, key) in poses}
+        among = [
+            position @ rotation_from_quaternion(poses[agent, key].rotation).T + poses[agent, key].position
+            for key, position in scans.items()
+        ]
+        groups = np.repeat(np.array([*scans], np.int64), [len(position) for position in among])
+        places = Places(groups, np.concatenate([np.zeros((0, 3)), *among]))
+        there = nearest(Places(frame, manipulations.position[rows]), places, reach_m)[0] >= 0
+        counts[rows] = np.isin(frame, [*scans]) & (there != (manipulations.kind[rows] == REMOVED))
+        lasts[rows] = np.clip(lasts[rows], 0, np.maximum(max(scans, default=0) - frame, 0))
+    return replace(manipulations, lasts=lasts).select(counts)
 
 
 #: Effects on a pose that leave an agent without its pose, so that it cannot locate objects.

@@ -9,6 +9,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from mast_zenoh.arrays.states import Floats
 from mast_zenoh.driving import Command
 from mast_zenoh.driving.motion import RouteAhead
 from mast_zenoh.evaluation.driver_on_truth import DriverOnTruth
@@ -115,6 +116,7 @@ class RunData:
     roles:    of the nodes;  presence: joining and leaving of nodes
     times_ns: by frame, its clock time
     poses:    by (agent, frame)
+    detected: by subject whose points have a wire, and frame: (n, 3) m, frame of the agent, what was detected in a scan
     picture_sent: by frame, the frame in which its picture was sent
     tracks_sent: by (agent, frame), the frame in which the agent's tracks were sent
     attack_reports, link_reports: (interposer, frame, sequence number, columns)
@@ -133,6 +135,7 @@ class RunData:
     presence: Presence = field(default_factory=Presence)
     times_ns: dict[int, int] = field(default_factory=dict)
     poses: dict[tuple[str, int], ReportedPose] = field(default_factory=dict)
+    detected: dict[str, dict[int, Floats]] = field(default_factory=dict)
     picture_sent: dict[int, int] = field(default_factory=dict)
     tracks_sent: dict[tuple[str, int], int] = field(default_factory=dict)
     attack_reports: list[tuple[str, int, int, Body]] = field(default_factory=list)
@@ -156,6 +159,8 @@ class RunData:
         for by_agent in (self.poses, self.tracks_sent):
             for key in [key for key in by_agent if key[1] < before]:
                 del by_agent[key]
+        for subject, by_frame in self.detected.items():
+            self.detected[subject] = {frame: position for frame, position in by_frame.items() if frame >= before}
         for reports in (self.attack_reports, self.link_reports):
             reports[:] = [report for report in reports if report[1] >= before]
         for frame in [frame for frame, update in self.trust.items() if frame < before and "position" in update.columns]:

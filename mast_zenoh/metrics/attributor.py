@@ -317,6 +317,7 @@ class Attributor:
         places = tracks.places(false_rows)
         best, nearest_kind = np.full(len(false_rows), np.inf), np.full(len(false_rows), UNKNOWN)
         near: list[tuple[int, int, Floats]] = []
+        about = np.zeros(len(tracks.row), bool)  # rows with something shown so near that they may come to follow it
         seen = (self.truth.seen >= self.min_points).nonzero()[0]
         for kind in (INSERTED, MOVED):
             for culprit in range(-1, len(manipulations.culprits)):
@@ -327,7 +328,9 @@ class Attributor:
                 if not len(rows):
                     continue
                 claimed, original = claimed_positions(manipulations.select(rows), self.period_s, self.coast, self.span)
-                _, distance = nearest(places, claimed, self.limits.lie_m)
+                _, distance = nearest(places, claimed, self.limits.astray_m)
+                about[false_rows] |= np.isfinite(distance)
+                distance = np.where(distance <= self.limits.lie_m, distance, np.inf)
                 if kind == MOVED:
                     distance = self._only_as_moved(places, natural[false_rows], original, distance)
                 near.append((kind, culprit, distance))
@@ -348,34 +351,42 @@ class Attributor:
         extended = false.copy()
         extended[blamed[before]] = False
         local = self.local[tracks.series]
-        self._extend_causes(extended & local, cause, by)
+        self._extend_causes(extended & local, about, cause, by)
         # What an agent itself reports wrongly, by no manipulation, is in the other estimates without them too.
         genuine = (false & local & (cause < 0)).nonzero()[0]
         reported = Places(tracks.frame[genuine], tracks.position[genuine])
         others = (~local & (cause >= 0)).nonzero()[0]
         row, _ = nearest(Places(tracks.frame[others], tracks.position[others]), reported, self.limits.lie_m)
         cause[others[row >= 0]], by[others[row >= 0]] = UNKNOWN, False
-        self._extend_causes(extended & ~local, cause, by)
+        self._extend_causes(extended & ~local, about, cause, by)
         # A track of a real object becomes inaccurate while that object is hidden, moved or altered, if it is there.
         free = (false & (cause < 0) & self.last_evaluated).nonzero()[0]
         at = find((self.last_id[free], tracks.frame[free]), (self.truth.boxes.id, self.truth_frame))
         astray_m = np.linalg.norm(self.truth.boxes.position[at] - tracks.position[free], axis=1)
-        row, _ = nearest(Places(tracks.frame[free], tracks.position[free]), reported, self.limits.lie_m)
-        # Far from that object, a track is of what an agent reports wrongly, if one does.
-        free = free[(astray_m <= self.limits.astray_m) | (row < 0)]
-        since = tracks.period_start(false)[free]
-        self._blame_hiding(self.last_id[free], tracks.frame[free], tracks.series[free], free, cause, by, since=since)
+        own = local[free]
+        since = tracks.period_start(false)
+        for rows in (free[own & (astray_m <= self.limits.astray_m)], free[~own]):
+            if len(rows) and not local[rows[0]]:  # what an agent still reports wrongly is not due to hiding
+                genuine = (false & local & (cause < 0)).nonzero()[0]
+                reported = Places(tracks.frame[genuine], tracks.position[genuine])
+                near, _ = nearest(Places(tracks.frame[rows], tracks.position[rows]), reported, self.limits.lie_m)
+                rows = rows[near < 0]
+            ids = self.last_id[rows]
+            self._blame_hiding(ids, tracks.frame[rows], tracks.series[rows], rows, cause, by, since=since[rows])
         return cause, by
 
-    def _extend_causes(self, false: Bools, cause: Ints, by: Bools) -> None:
-        """Extend causes to rows of the track up to `coast` frames later and earlier, but not past a real object."""
+    def _extend_causes(self, false: Bools, about: Bools, cause: Ints, by: Bools) -> None:
+        """Extend causes to rows of the track up to `coast` frames later and earlier, but not past a real object.
+
+        about: rows beside something that is shown: what is far from it does not follow it yet
+        """
         tracks, matched = self.tracks, self.tracks.outcome == MATCHED
         for later in (False, True):
             source = tracks.adjacent(cause >= 0, (cause >= 0) | matched, self.coast, later=later)
             extended = (false & (cause < 0) & (source >= 0)).nonzero()[0]
             if later:  # a cause cannot precede the manipulation
                 first_shown = self.manipulations.first_shown(tracks.series[extended], by[source[extended]], self.span)
-                extended = extended[tracks.frame[extended] >= first_shown]
+                extended = extended[(tracks.frame[extended] >= first_shown) & about[extended]]
             cause[extended], by[extended] = cause[source[extended]], by[source[extended]]
 
     def _only_as_moved(self, places: Places, natural: Ints, original: Places, distance: Floats) -> Floats:
