@@ -209,6 +209,21 @@ PAGES = (
         ),
     ),
     Page(
+        "sensing",
+        "How far attacks on a lidar get",
+        "How far do attacks on a lidar get, from their points to the brake of the car, and what do checks change?",
+        (
+            Part(
+                "Links of the chain",
+                "sensing",
+                full=dict(preset="hour"),
+                quick=dict(preset="quick", trials=5),
+                figure="sensing",
+                table="Links of the chain",
+            ),
+        ),
+    ),
+    Page(
         "posepert",
         "Perturbed poses",
         "What do perturbed poses do to a car, beside what PosePert and its authors' repetition report?",

@@ -178,7 +178,7 @@ class PosePerturbation(Kind):
             [compared],
             note=few_trials(row["shift_m"] for row in table),
             headline=sentences[0].removesuffix(".") if sentences else "",
-            reading=sentences,
+            reading=sentences[1:],
         )
 
     def figures(self, table: Sequence[Row]) -> Mapping[str, RenderedFigure]:

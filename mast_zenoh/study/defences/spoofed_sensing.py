@@ -60,8 +60,8 @@ class SpoofedSensing(Kind):
 
         frames:   their number, one each `period_s`;  landed: frames in which points were inserted or removed
         points:   mean number of these points in a landed frame: inserted ones, if there are any
-        detected: landed frames in which the victim detects what was inserted, or does not detect an object from which
-                  points were removed and which it detected before the attack
+        detected: landed frames in which the victim detects what was inserted, nearer than any true object, or does not
+                  detect an object from which points were removed and which it detected before the attack
         tracked, fused: frames in which the ego's own tracks, or its mission estimate, have an error that the attack
                   caused
         """
@@ -123,7 +123,7 @@ class SpoofedSensing(Kind):
             [links],
             note=few_trials(row["landed"] for row in table),
             headline=sentences[0].removesuffix(".") if sentences else "",
-            reading=sentences,
+            reading=sentences[1:],
         )
 
     def figures(self, table: Sequence[Row]) -> Mapping[str, RenderedFigure]:
@@ -179,7 +179,8 @@ def _changed_detections(run: Run, effects: Mapping[str, Any], objects: Mapping[s
     removed = Places.of_rows(effects, effects["effect"] == "removed", "before_")
     lost = np.isin(ids, known) & ~detected & _are_near(truth, removed)
     inserted = Places.of_rows(effects, effects["effect"] == "inserted", "after_")
-    return len(np.union1d(truth.group[lost], inserted.group[_are_near(inserted, detections)]))
+    to_inserted, to_truth = (nearest(detections, places, _GATE_M)[1] for places in (inserted, truth))
+    return len(np.union1d(truth.group[lost], detections.group[to_inserted < to_truth]))
 
 
 def _are_near(places: Places, others: Places) -> Bools:
