@@ -51,7 +51,7 @@ def scenario(
     attack_start_s: start of the attack, in scene time; None: as its class says, 4 s for those that come with mast;
     victim: the agent whose lidar it is;
     checks: of detections against points, such as "OcclusionCheck", FILE.py or FILE.py:CLASS, separated by commas, or
-    none: what they refuse is left out;
+    none: what they refuse is left out, also true objects (docs/explanation-points.md);
     detector: "ClusterDetector", FILE.py:CLASS or a dict; detected_by: detector (a node), agent or simulator;
     lidar: a model of all agents, such as "VLP-32C"; none: their own; clutter: what stands beside roads, or none;
     defence, veto, estimate: as for the scenario `driving`.

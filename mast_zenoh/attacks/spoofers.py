@@ -67,6 +67,8 @@ class Spoofer(ABC):
         Its light reaches the receiver only from where beams look: some return at its azimuth, and it is neither above
         nor below all returns and the horizon. The nearest beam does not return from before the spoofer; where none is
         near, no beam above does.
+
+        points: as adversaries before this one on the wire have left them: their order decides
         """
         (azimuth, elevation), (bearing, up) = map(angles_of, (points.position.astype(np.float64), towards))
         beside = np.abs(wrap_angle(azimuth - bearing)) <= _NEAR_RAD

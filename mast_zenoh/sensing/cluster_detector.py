@@ -274,9 +274,10 @@ def turned_left(box: Rectangles, which: Bools) -> Rectangles:
 
 @dataclass(kw_only=True, eq=False)
 class ClusterDetector(PointDetector):
-    """Finds road users as clusters of points above the ground, without any training.
+    """Finds road users as clusters of points; cannot tell front from rear.
 
-    Of more than 1,000 clusters, which only a forged scan has, it uses those with the most points: time is bounded.
+    It needs no training. Headings are known up to half a turn, and trackers do not correct them by the velocity. Of
+    more than 1,000 clusters, which only a forged scan has, it uses those with the most points: time is bounded.
 
     reach_m:     m, largest x and y of points that are used
     min_points:  least number of points of an object

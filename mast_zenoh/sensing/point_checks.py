@@ -56,8 +56,8 @@ class OcclusionCheck(PointCheck):
     detection of CARLO (Sun et al., USENIX Security 2020, section 6.1), whose attacks it reduces from 80 to 5.5 %. 1 for
     other classes, and for boxes that fewer than 5 beams meet.
 
-    least: 0 to 1, share below which a vehicle is refused; 0.8 refuses under 3 % of true cars
-           (docs/explanation-points.md)
+    least: 0 to 1, share below which a vehicle is refused; 0.8 refuses under 3 % of true cars around one lidar 1.8 m
+           high, on junctions 3 % at the ego, and at poles 3.5 % of cars and 6 % of trucks (docs/explanation-points.md)
     """
 
     def __init__(self, *, least: float = 0.8) -> None:
@@ -99,8 +99,9 @@ class ShadowCheck(PointCheck):
     (weights of Shadow-Catcher, Hau et al., ESORICS 2021, section 5.2). Plausibility is the share of the object's own
     points among these and its own. Theirs is over 94 % accurate.
 
-    least: 0 to 1, share below which an object is refused; 0.85 refuses under 1 % of true cars
-           (docs/explanation-points.md)
+    least: 0 to 1, share below which an object is refused; 0.85 refuses under 1 % of true cars around one lidar 1.8 m
+           high, but on junctions 3 % at the ego, and at poles 16 % of cars, 91 % of bicycles, 44 % of trucks and 17 %
+           of pedestrians (docs/explanation-points.md)
     length_m: m, of the shadow that is looked at
     """
 
