@@ -12,6 +12,8 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
         "mast_zenoh.attacks.AdaptiveAttack",
         "mast_zenoh.attacks.FollowingEgo",
         "mast_zenoh.attacks.FalseTraffic",
+        "mast_zenoh.attacks.PointAttack",
+        "mast_zenoh.attacks.point_attacks.AttackedScan",
     ),
     "part of an attack": (
         "mast_zenoh.attacks.Selection",
@@ -27,6 +29,7 @@ BASE_CLASSES: dict[str, tuple[str, ...]] = {
     ),
     "integrity stage": ("mast_zenoh.integrity.Integrity",),
     "driver": ("mast_zenoh.driving.Driver",),
+    "detector or check of points": ("mast_zenoh.sensing.PointDetector", "mast_zenoh.sensing.PointCheck"),
     "scene": ("mast_zenoh.scenes.Scene", "mast_zenoh.sensing.Detector", "mast_zenoh.scenes.Sensor"),
     "metric": ("mast_zenoh.metrics.FrameMetric", "mast_zenoh.metrics.RunMetric", "mast_zenoh.metrics.Assigner"),
     "link rule": ("mast_zenoh.links.Rule",),

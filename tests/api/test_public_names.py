@@ -22,7 +22,7 @@ _BASES = """
     fusion.Fusion fusion.GroupTracker integrity.Integrity scenes.Scene scenes.Sensor sensing.Detector
     metrics.FrameMetric metrics.RunMetric metrics.Assigner links.Rule faults.Fault launch.engine.Engine
     launch.checks.RunCheck show.RunFigure v2x.GenerationRules v2x.RedundancyRule v2x.CongestionControl v2x.CamGeneration
-    v2x.RadioChannel
+    v2x.RadioChannel attacks.PointAttack attacks.point_attacks.AttackedScan sensing.PointDetector sensing.PointCheck
 """
 BASES = {f"mast_zenoh.{place}" for place in _BASES.split()}
 MEMBERS = {
