@@ -10,7 +10,7 @@ forwarded unchanged.
 from __future__ import annotations
 
 import copy
-from collections import deque
+from collections import Counter, deque
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from mast_zenoh.attacks.attack import (
     seen_detections,
     sensor_of,
 )
-from mast_zenoh.attacks.campaign import COUNTS, shortfall
+from mast_zenoh.attacks.campaign import shortfall
 from mast_zenoh.attacks.knowledge import CentreMessages
 from mast_zenoh.attacks.surroundings import UNKNOWN
 from mast_zenoh.attacks.targets import Changes
@@ -117,12 +117,13 @@ class Adversary(Node):
                 self.victims[name] = self.of_wire[wire.port, wire.subject] = victim
 
     def finish(self, context: Context) -> dict[str, int]:
-        """The number of chosen targets; logs a warning if fewer were found than wanted."""
-        every = [counts for victim in self.victims.values() if (counts := victim.attack.counts())]
-        counts = {name: sum(each[name] for each in every) for name in COUNTS} if every else {}
+        """The number of chosen targets, or of scans; logs a warning if fewer targets were found than wanted."""
+        counts: Counter[str] = Counter()
+        for victim in self.victims.values():
+            counts.update(victim.attack.counts())
         if missing := shortfall(counts):
             context.log.warning("%s", missing)
-        return counts
+        return dict(counts)
 
     def victim_of(self, received: Received) -> Victim:
         """The agent that a message comes from or goes to."""

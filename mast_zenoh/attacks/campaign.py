@@ -210,9 +210,9 @@ class Campaign:
 def shortfall(counts: Mapping[str, int]) -> str:
     """Describe the targets that could not be found or placed; "" if none.
 
-    counts: see `Campaign.counts`
+    counts: see `Attack.counts`
     """
-    if not counts:
+    if "wanted" not in counts:
         return ""
     if counts["wanted"] > counts["placed"]:
         return f"no place for {counts['wanted'] - counts['placed']} of {counts['wanted']} false objects in its region"

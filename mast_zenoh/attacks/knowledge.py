@@ -62,7 +62,7 @@ class Attacker(ABC):  # noqa: B024 (attacks and coordinators have their own `ste
         """
 
     def counts(self) -> dict[str, int]:
-        """Numbers of selected targets (`Campaign.counts`); {} for adversaries without any."""
+        """Numbers of selected targets (`Campaign.counts`) or of scans (`PointAttack.counts`); {}: neither."""
         return {}
 
 

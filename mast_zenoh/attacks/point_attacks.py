@@ -6,8 +6,7 @@ They change what beams return, and keep the beams' keys (`Points.keys`), so that
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections import deque
-from contextlib import suppress
+from collections import Counter, deque
 from dataclasses import dataclass, field
 from functools import partial
 from math import inf
@@ -84,6 +83,7 @@ class PointAttack(ObjectsUnchanged, Attack):
         self._surroundings = UNKNOWN
         self._memory = BeamMemory()
         self._sight: tuple[float, Floats] | None = None
+        self._counts: Counter[str] = Counter()
 
     def inform(self, surroundings: Surroundings) -> None:
         self._surroundings = surroundings
@@ -91,24 +91,42 @@ class PointAttack(ObjectsUnchanged, Attack):
     def bind(self, seed: int, name: str) -> None:
         self._seed, self._name = seed, name
 
+    def counts(self) -> dict[str, int]:
+        """Numbers of `scans` in the time of the attack, and of those left as they are by reason.
+
+        Reasons: unusable, no_sight, out_of_reach, first, missed, untimed, no_beams, same, or the text of a NoBeams.
+        """
+        return dict(self._counts)
+
     def forge_points(self, frame: int, time_ns: int, points: Points, lidar: tuple[Floats, Floats]) -> Points:
         time_s = time_ns / NANOSECONDS
         self._memory.move(time_s, *lidar)
         self._overhear(time_s, points)
         offset = None if self.place is None else self.place.position(time_s, lidar, self._surroundings) - lidar[0]
         across = self._speed_across(time_s, offset)
-        usable = self.whole or (len(points) > 0 and bool(np.isfinite(points.position).all()))
-        if not (self.start_s <= time_s < self.end_s and usable):
+        if not self.start_s <= time_s < self.end_s:
             return points
+        self._counts["scans"] += 1
+        if not (self.whole or (len(points) and np.isfinite(points.position).all())):
+            return self._left(points, "unusable")
         random = stream(self._seed, self._surroundings.scene, self._name, "spoofer", frame)
         towards = np.array([1.0, 0.0, 0.0]) if offset is None else offset @ lidar[1]
         if self.place is not None:
             distance = float(np.linalg.norm(towards))
-            hit = random.random() < self.place.aim(distance, across) * self.success * self._covers(distance)
-            if not hit or not self.place.in_sight(points, towards):
-                return points
-        with suppress(NoBeams):
-            return self._forged(AttackedScan(time_s, points, lidar, towards, random, self._memory))
+            aim, covers = self.place.aim(distance, across), self._covers(distance)
+            if not random.random() < aim * self.success * covers:
+                return self._left(points, "out_of_reach" if not covers else "missed" if aim else "first")
+            if not self.place.in_sight(points, towards):
+                return self._left(points, "no_sight")
+        try:
+            forged = self._forged(AttackedScan(time_s, points, lidar, towards, random, self._memory))
+        except NoBeams as error:
+            return self._left(points, str(error) or "no_beams")
+        return self._left(points, "same") if forged is points else forged
+
+    def _left(self, points: Points, reason: str) -> Points:
+        """The points, after counting why they stay as they are."""
+        self._counts[reason] += 1
         return points
 
     def _speed_across(self, time_s: float, offset: Floats | None) -> float:
@@ -129,7 +147,7 @@ class PointAttack(ObjectsUnchanged, Attack):
 
     @abstractmethod
     def _forged(self, scan: AttackedScan) -> Points:
-        """What the lidar delivers instead; raises NoBeams: the scan stays as it is."""
+        """What the lidar delivers instead; raises NoBeams, with the reason: the scan stays as it is."""
 
 
 #: By lidar and asked width, deg: P(removal); mean and deviation of the width if it is removed, deg. From the share of

@@ -141,6 +141,11 @@ def _why_unchanged(run: _EndedRun, name: str, kind: str, start_s: float | None) 
     if begins and max(begins) > run.duration_s:
         return Finding("idle", value=max(begins), other=run.duration_s, unit="s", cause=("late",))
     counts = run.handed_in.get(name, {})
+    if type(counts.get("scans")) is int:
+        left = [Finding("count", (why,), value=n) for why, n in counts.items() if why != "scans" and type(n) is int]
+        hidden = [each.interposers for each in run.wiring.wires if name in each.interposers and counts.get("no_sight")]
+        before = dict.fromkeys(other for nodes in hidden for other in nodes[: nodes.index(name)])
+        return Finding("idle", value=counts["scans"], unit="scans", cause=("scans", *before), parts=tuple(left))
     chosen = [counts[name] for name in COUNTS if type(counts.get(name)) is int]
     return Finding("idle", cause=("no target",) if chosen and not any(chosen) else ())
 

@@ -377,7 +377,8 @@ def _check_column(schema: str, column: Column, array: NDArray[Any]) -> None:
     if column.dtype in ("float64", "float32"):
         # One pass without temporaries: the sum of squares is not finite, or too large, if any value is.
         # The mean is limited, not the sum, so that a message collated from many valid ones is valid.
-        flat = array.reshape(-1).astype(np.float64, copy=False)
+        with np.errstate(invalid="ignore"):  # NaNs that signal, which are refused below
+            flat = array.reshape(-1).astype(np.float64, copy=False)
         squares = np.vdot(flat, flat)
         if not squares <= MAX_SQUARES * max(len(flat), 1):
             raise MessageError(f"{schema}.{column.name}: a value is not finite or beyond {MAX_MAGNITUDE:g}")

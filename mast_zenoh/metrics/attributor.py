@@ -369,8 +369,8 @@ class Attributor:
             if len(rows) and not local[rows[0]]:  # what an agent still reports wrongly is not due to hiding
                 genuine = (false & local & (cause < 0)).nonzero()[0]
                 reported = Places(tracks.frame[genuine], tracks.position[genuine])
-                near, _ = nearest(Places(tracks.frame[rows], tracks.position[rows]), reported, self.limits.lie_m)
-                rows = rows[near < 0]
+                row, _ = nearest(Places(tracks.frame[rows], tracks.position[rows]), reported, self.limits.lie_m)
+                rows = rows[row < 0]
             ids = self.last_id[rows]
             self._blame_hiding(ids, tracks.frame[rows], tracks.series[rows], rows, cause, by, since=since[rows])
         return cause, by

@@ -73,7 +73,7 @@ class ChannelAngles:
         time = points.time_s.astype(np.float64)
         one = points.channel == np.bincount(points.channel).argmax()
         if time[one].min() == time[one].max():
-            raise NoBeams
+            raise NoBeams("untimed")
         azimuth, elevation = angles_of(fired)
         rate = float(np.polyfit(time[one], np.unwrap(azimuth[one]), 1)[0])
         channel, first = np.unique(points.channel, return_inverse=True)
@@ -164,7 +164,10 @@ class Sector:
         return range_m
 
     def changed(self, which: Bools, range_m: Floats, intensity: float = 1.0) -> Points:
-        """The scan after some of these beams, (f, c), returned from other distances (f, c) m; inf: not at all."""
+        """The scan after some of these beams, (f, c), returned from other distances (f, c) m; inf: not at all.
+
+        If that changes none of them, the same object.
+        """
         firing, channel = np.nonzero(which & np.isfinite(range_m))
         beam, time = self.directions()[firing, channel], self.time_s[firing]
         new = Points(
@@ -175,6 +178,8 @@ class Sector:
         )
         gone = np.zeros(len(self.points), bool)
         gone[self.row[which & (self.row >= 0)]] = True
+        if not len(time) and not gone.any():
+            return self.points
         return ordered(Points.joined([self.points.select(~gone), new]))
 
 

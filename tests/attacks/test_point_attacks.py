@@ -130,6 +130,29 @@ def test_nothing_happens_without_sight_or_out_of_time_or_without_points() -> Non
         assert removal().forge_points(0, 0, scan, EMPTY.lidar(0.0)) is scan
 
 
+def test_an_attack_counts_why_it_left_scans_as_they_are() -> None:
+    unaimed = spoofers.Following(aim_deg=10.0, lag_s=0.0)
+    behind_a_car, car = (
+        Street(np.array([[10.0, 0.0, 0.0, 0.0]]), "VLP-16"),
+        spoofers.Roadside(x=20.0, y=0.0, z=0.8, **SURE),
+    )
+    for attack, street, reason in (
+        (point_attacks.EarlyEcho(start_s=0.2, place=car, reach_m=50.0), behind_a_car, "no_sight"),
+        (point_attacks.EarlyEcho(start_s=0.2, place=car), EMPTY, "out_of_reach"),
+        (point_attacks.EarlyEcho(start_s=0.2, place=unaimed, success=0.0, reach_m=50.0), EMPTY, "missed"),
+        (point_phantoms.Mirror(start_s=0.2, x=20.0, y=0.0, z=30.0), EMPTY, "same"),
+    ):
+        attacked(attack, street, frames=5)
+        assert attack.counts() == {"scans": 3, reason: 3}
+    first = point_attacks.EarlyEcho(start_s=0.0, place=spoofers.Following(distance_m=4.0))
+    attacked(first, EMPTY)
+    assert first.counts() == {"scans": 1, "first": 1}
+    for points, reason in ((Points.empty(), "unusable"), (Points.of(EMPTY.points().position), "untimed")):
+        attack = point_phantoms.Mirror(start_s=0.0)
+        assert attack.forge_points(0, 0, points, EMPTY.lidar(0.0)) is points
+        assert attack.counts() == {"scans": 1, reason: 1}
+
+
 @pytest.mark.parametrize(
     ("model", "wall_x", "x", "y", "z", "sight"),
     [

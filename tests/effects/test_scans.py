@@ -8,8 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from mast_zenoh.arrays.geometry import NO_TURN, quaternion_from_rotation, rotation_from_yaw_pitch
+from mast_zenoh.evaluation.effects import scans
 from mast_zenoh.evaluation.effects.rows import ChangedMessage, changed_objects
 from mast_zenoh.evaluation.effects.scans import LEAST_POINTS, SAME_RETURN_M, changed_points
 from mast_zenoh.metrics.causes import INSERTED, REMOVED
@@ -124,6 +126,27 @@ def test_beams_that_only_change_their_time_or_come_twice_are_unchanged() -> None
     twice = Points.joined([moved, moved.select(slice(0, 1))])
     for after in (later, twice):
         assert not any(rows.any() for rows in changed_points(before, after))
+
+
+@given(st.data())
+def test_points_without_beams_are_the_same_if_any_other_is_near_however_many_are_at_one_place(
+    data: st.DataObject,
+) -> None:
+    random = np.random.default_rng(data.draw(st.integers(0, 1000)))
+    places = random.uniform(0.0, 1.5, (12, 3)).astype(np.float32)
+    before, after = (Points.of(places[random.integers(0, 12, data.draw(st.integers(2, 40)))]) for _ in range(2))
+    apart = np.linalg.norm(before.position[:, None].astype(float) - after.position, axis=2) >= SAME_RETURN_M
+    removed, inserted = changed_points(before, after)
+    np.testing.assert_array_equal(removed, apart.all(axis=1))
+    np.testing.assert_array_equal(inserted, apart.all(axis=0))
+
+
+def test_many_points_at_one_place_are_compared_without_each_pair_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes: list[int] = []
+    monkeypatch.setattr(scans, "cKDTree", lambda points: sizes.append(len(points)) or cKDTree(points))
+    scan = Points.of(np.full((20_000, 3), 5.0))
+    assert not any(rows.any() for rows in changed_points(scan, scan))
+    assert sizes == [1, 1]
 
 
 def test_a_few_points_make_no_object() -> None:

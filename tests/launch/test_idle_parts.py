@@ -19,6 +19,7 @@ from mast_zenoh.config.resolved import Resolved
 from mast_zenoh.launch import run
 from mast_zenoh.launch.idle import idle_parts
 from mast_zenoh.metrics import FrameMetric, RunMetric
+from mast_zenoh.run_folder.finding import sentence
 
 Edit = Callable[[dict[str, Any]], Any]
 UNCOORDINATED = dict(type="UncoordinatedAttack", start_s=0.0)
@@ -165,6 +166,24 @@ def test_an_agent_without_tracks_is_named_if_the_run_was_long_enough(
 @pytest.mark.parametrize("results", [{}, {"metrics": 3}, {"metrics": {}, "tables": []}, {"tables": {"attacks": None}}])
 def test_an_evaluator_of_the_user_may_return_anything(results: Any) -> None:
     assert idle(tiny(edit=attack("on_tracks.toml")), {"evaluator": results}) == []
+
+
+def test_an_attack_on_points_that_changed_nothing_says_why_and_who_changed_the_scans_before_it() -> None:
+    def two(content: dict[str, Any]) -> None:
+        content["adversaries"] = {"adversary_1": EARLY, "adversary_2": EARLY}
+        content["keyexpr"] = dict(rewrites=["on_tracks.toml"])
+
+    world = tiny(edit=two)
+    (wire,) = {wire["key"]: wire for wire in world.wiring["wires"] if "adversary_1" in wire["interposers"]}.values()
+    first, last = wire["interposers"]
+    measured = {"metrics": {"interposers": {last: {"messages": 60, "effects": {}}}}}
+    counted = {"scans": 60, "no_sight": 48, "missed": 12}
+    (finding,) = idle_parts(world, 12, {"evaluator": measured, last: counted}, Path("nowhere"))
+    assert sentence(finding) == (
+        f"{last} on {wire['key']} changed no message: 60 scans came during its attack by its own count, "
+        "48 without a line of sight to "
+        f"the lidar, 12 missed by its aim or timing (sight is judged by the scans that {first} passed on)"
+    )
 
 
 def idle(

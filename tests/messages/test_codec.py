@@ -1,5 +1,6 @@
 """Encoding and decoding keep messages unchanged; anything else is refused."""
 
+import warnings
 from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any
@@ -90,6 +91,16 @@ def test_messages_are_split_after_any_number_of_others_with_other_lengths(monkey
         codec.decode(payload, "picture")
     monkeypatch.setattr(BodyLayout, "unpack", lambda *_: pytest.fail("not split"))
     codec.decode(payloads[-1], "picture")
+
+
+def test_a_number_that_is_a_signalling_nan_is_refused_without_a_warning() -> None:
+    message = message_of("points", {"n": 3})
+    position = message.body["position"].tobytes()
+    payload = codec.encode(message).replace(position, b"\x01\x00\x80\x7f" + position[4:])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(MessageError, match="not finite"):
+            codec.decode(payload, "points")
 
 
 @given(seed=st.integers(0, 1 << 32))

@@ -11,8 +11,10 @@ from mcap.writer import MCAP0_MAGIC
 from recorded_runs import FRAMES
 from tiny_world import Run as Played
 
+from mast_zenoh import scenario
 from mast_zenoh.errors import ConfigurationError, MastError, NodeFileError, RunFolderError, WiringError
 from mast_zenoh.launch import liveness, replay
+from mast_zenoh.launch import run as launcher
 from mast_zenoh.messages import codec
 from mast_zenoh.run_folder.recording.format import REWIRED, RecordedEvent
 from mast_zenoh.run_folder.recording.reader import Recorded, read
@@ -239,3 +241,11 @@ def test_a_command_center_that_publishes_no_picture_has_no_picture_wire(
     assert "cc/picture" not in {wire["key"] for wire in wires}
     with pytest.raises(WiringError, match="output port 'picture'"):
         replay.resolve(recorded("baseline"), "simulator", settings=settings)
+
+
+def test_a_spoofed_run_is_replayed_from_its_agents_and_needs_recorded_scans_from_its_simulator(tmp_path: Path) -> None:
+    resolved = scenario.resolve(*scenario.load("spoofed", ["n_infrastructure=1"]), frames=4, record=True)
+    folder = launcher.run(resolved, tmp_path / "run", runtime="inproc").folder
+    assert notices(folder) == ""
+    with pytest.raises(RunFolderError, match=r"found no message on agent/infra_1/points.*with points.recorded=true"):
+        replay.resolve(folder, "simulator")

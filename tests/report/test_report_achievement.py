@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mast_zenoh.run_folder.finding import Finding
+from mast_zenoh.run_folder.finding import Finding, sentence
 from mast_zenoh.runs.run import Run
 from mast_zenoh.show.comparison import Reference
 from mast_zenoh.show.figures.over_time import driving_over_time
@@ -100,6 +100,14 @@ def test_reasons_for_an_adversary_that_changed_nothing(
     assert why(run_of("uncoordinated", **files), None) == [reason]
 
 
+def test_an_attack_on_points_that_changed_nothing_says_why_in_the_results(run_of: RunOf) -> None:
+    count = Finding("count", ("untimed",), value=60)
+    note = Finding("idle", ("adversary_1",), "no change", 60, unit="scans", cause=("scans",), parts=(count,)).to_json()
+    run = run_of("uncoordinated", **idle(), run={"notices": [note | {"text": "as its launcher said it"}]})
+    (reason,) = said(run, [each for each in limits(run) if each.who == ("adversary_1",)])
+    assert "on unchanged: 60 scans came during its attack by its own count, 60 without firing times" in reason
+
+
 NOT_ACCEPTED = {"inserted": 1, "inserted_share_centre": 0.0, "inserted_share_ego": 0.0}
 AT_CENTRE = NOT_ACCEPTED | {"inserted_share_centre": 1.0}
 NOT_HIDDEN = {"hidden": 1, "hidden_share_centre": 0.0, "hidden_share_ego": 0.0}
@@ -155,6 +163,26 @@ def test_objects_inserted_on_a_real_object_match_it(attacked: Run) -> None:
     scorer = {"type": "Scorer", "assigner": {"type": "CenterDistanceAssigner", "gate_m": 0.5}}
     attacked.files.scenario["nodes"] = {"evaluator": {"config": {"scorer": scorer}}}
     assert why(attacked, beside, **NOT_ACCEPTED) == [("inserted", "rejected", "")]
+
+
+def test_a_rejected_object_may_have_been_undetected_or_withheld_by_the_defence_of_the_run(
+    attacked: Run,
+) -> None:
+    of_points = Finding("limited", ("adversary_1",), "inserted", where="points", cause=("rejected",))
+    attacked.files.scenario["nodes"] = {}
+    (plain,), (points,) = said(attacked, [replace(of_points, where="")]), said(attacked, [of_points])
+    assert "inserted: the fusion rejected it, or it" in plain
+    assert "inserted: the detector found nothing, the fusion rejected it, or it" in points
+    attacked.files.scenario["nodes"] = {"cc": {"config": {"pipeline": {"integrity": {"type": "KOfN"}}}}}
+    assert "rejected it, the defence withheld it, or it" in said(attacked, [of_points])[0]
+
+
+@pytest.mark.parametrize(("switches", "words"), [(1.0, "1 identity switch P is"), (2.0, "2 identity switches P are")])
+def test_one_identity_switch_is_and_several_are(switches: float, words: str) -> None:
+    finding = Finding("change", what="identity", value=switches, cause=("adversary_1",))
+    assert sentence(finding, None, lambda: "P") == f"{words} due to adversary_1"
+    during = Finding("during", what="identity", value=switches, when=(1.0, 2.0))
+    assert f"there {words.split()[-1]} {words[0]} identity switch" in sentence(during, None, lambda: "P")
 
 
 def test_reason_for_changes_in_unscored_frames(attacked: Run) -> None:

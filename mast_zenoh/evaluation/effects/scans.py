@@ -38,9 +38,11 @@ def changed_points(before: Points, after: Points) -> tuple[Bools, Bools]:
     same = np.linalg.norm(before.position[i] - after.position[j], axis=1) < SAME_RETURN_M
     removed[i], inserted[j] = ~same, ~same
     if len(left) and len(right):
-        one, other = before.position[left], after.position[right]
-        removed[left] = cKDTree(other).query(one, distance_upper_bound=SAME_RETURN_M)[0] == np.inf
-        inserted[right] = cKDTree(one).query(other, distance_upper_bound=SAME_RETURN_M)[0] == np.inf
+        # Each place once: a tree cannot divide points at one place, and would compare each with all others.
+        one, i = np.unique(before.position[left], axis=0, return_inverse=True)
+        other, j = np.unique(after.position[right], axis=0, return_inverse=True)
+        removed[left] = np.isinf(cKDTree(other).query(one, distance_upper_bound=SAME_RETURN_M)[0])[i.reshape(-1)]
+        inserted[right] = np.isinf(cKDTree(one).query(other, distance_upper_bound=SAME_RETURN_M)[0])[j.reshape(-1)]
     return removed, inserted
 
 

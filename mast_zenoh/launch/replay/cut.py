@@ -14,7 +14,7 @@ from mast_zenoh.wiring.model import ANY, Branch, Endpoint, Leg, Listener, Wire, 
 
 #: The roles that are played, by the place of the cut; drivers, because a recorded truth follows from their commands.
 PLAYED_ROLES: Mapping[str, tuple[str, ...]] = {
-    "agents": (DRIVER_ROLE, "driver", "agent"),
+    "agents": (DRIVER_ROLE, "driver", "detector", "agent"),
     "simulator": (DRIVER_ROLE, "driver"),
 }
 Place = Literal["agents", "simulator"]

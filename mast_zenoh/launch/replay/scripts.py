@@ -155,9 +155,10 @@ def _check_inputs(folder: Path, cut: ReplayedMesh, messages: Messages) -> list[s
     silent: dict[str, None] = {}
     for (node, port), wires in filled.items():
         if not any(wires.values()):
+            how = "with points.recorded=true" if port == "points" else "again"
             raise RunFolderError(
                 f"{folder / FILE}: found no message on {', '.join(list(wires)[:3])}, expected those that {node} "
-                f"receives as {port!r}: cut the run elsewhere with --from, or record it again"
+                f"receives as {port!r}: cut the run elsewhere with --from, or record it {how}"
             )
         silent |= dict.fromkeys(key for key, any_ in wires.items() if not any_)
     return list(silent)

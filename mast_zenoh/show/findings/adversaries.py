@@ -116,6 +116,7 @@ def made_of_points(run: Run, interposer: Interposer) -> list[Finding]:
     shown, result = Places.of_rows(table, inserted, "after_"), []
     for estimator in (PICTURE, MISSION):
         false = (objects["estimator"] == estimator) & (objects["agent"] == run.ego) & (objects["cause"] == "inserted")
+        false &= scored(run, objects["frame"])
         false &= np.array([interposer.name in by.split("+") for by in objects["by"].tolist()], bool)
         tracks = Places.of_rows(objects, false)
         row, _ = nearest(tracks, shown, _GATE_M)
@@ -170,7 +171,8 @@ def _reasons(run: Run, interposer: Interposer, blamed_for: str) -> Iterator[Find
     elif not interposer.changed and start is not None:
         yield limited(value=start, unit="s", cause=("late",))
     elif not interposer.changed:
-        yield limited(value=interposer.received, cause=("idle",))
+        known = tuple(each for each in run.notices if each.who == (interposer.name,) and each.cause[:1] == ("scans",))
+        yield limited(value=interposer.received, cause=("idle",), parts=known)
     elif not used:
         yield limited(where=" and ".join(interposer.wires), cause=("no estimate",))
     elif not blamed_for and not any(reaches(run, interposer.name, estimate) for estimate in estimates):
@@ -204,7 +206,8 @@ def _reasons_of_targets(run: Run, interposer: Interposer, targets: Table, blamed
             continue
         if (reason := explain(run, group, achieved)) is not None:
             what = " or ".join(kind for kind in kinds if np.any(group["kind"] == kind))
-            yield Finding("limited", who, what, reason[1], cause=(reason[0],))
+            where = "points" if reason[0] == "rejected" and interposer.points else ""
+            yield Finding("limited", who, what, reason[1], where=where, cause=(reason[0],))
 
 
 def _late_starts_s(run: Run) -> dict[str, float | None]:
