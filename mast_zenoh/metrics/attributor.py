@@ -353,27 +353,30 @@ class Attributor:
         local = self.local[tracks.series]
         self._extend_causes(extended & local, about, cause, by)
         # What an agent itself reports wrongly, by no manipulation, is in the other estimates without them too.
-        genuine = (false & local & (cause < 0)).nonzero()[0]
-        reported = Places(tracks.frame[genuine], tracks.position[genuine])
         others = (~local & (cause >= 0)).nonzero()[0]
-        row, _ = nearest(Places(tracks.frame[others], tracks.position[others]), reported, self.limits.lie_m)
-        cause[others[row >= 0]], by[others[row >= 0]] = UNKNOWN, False
+        others = others[self._near(others, false & local & (cause < 0))]
+        cause[others], by[others] = UNKNOWN, False
         self._extend_causes(extended & ~local, about, cause, by)
         # A track of a real object becomes inaccurate while that object is hidden, moved or altered, if it is there.
         free = (false & (cause < 0) & self.last_evaluated).nonzero()[0]
         at = find((self.last_id[free], tracks.frame[free]), (self.truth.boxes.id, self.truth_frame))
         astray_m = np.linalg.norm(self.truth.boxes.position[at] - tracks.position[free], axis=1)
-        own = local[free]
         since = tracks.period_start(false)
-        for rows in (free[own & (astray_m <= self.limits.astray_m)], free[~own]):
-            if len(rows) and not local[rows[0]]:  # what an agent still reports wrongly is not due to hiding
-                genuine = (false & local & (cause < 0)).nonzero()[0]
-                reported = Places(tracks.frame[genuine], tracks.position[genuine])
-                row, _ = nearest(Places(tracks.frame[rows], tracks.position[rows]), reported, self.limits.lie_m)
-                rows = rows[row < 0]
-            ids = self.last_id[rows]
-            self._blame_hiding(ids, tracks.frame[rows], tracks.series[rows], rows, cause, by, since=since[rows])
+
+        def blame(rows: Ints) -> None:
+            ids, frame, series = self.last_id[rows], tracks.frame[rows], tracks.series[rows]
+            self._blame_hiding(ids, frame, series, rows, cause, by, since=since[rows])
+
+        blame(free[local[free] & (astray_m <= self.limits.astray_m)])
+        others = free[~local[free]]
+        blame(others[~self._near(others, false & local & (cause < 0))])
         return cause, by
+
+    def _near(self, rows: Ints, among: Bools) -> Bools:
+        """Whether track rows are where some others are in the same frame, of any series."""
+        tracks = self.tracks
+        places, others = (Places(tracks.frame[each], tracks.position[each]) for each in (rows, among))
+        return np.asarray(nearest(places, others, self.limits.lie_m)[0] >= 0)
 
     def _extend_causes(self, false: Bools, about: Bools, cause: Ints, by: Bools) -> None:
         """Extend causes to rows of the track up to `coast` frames later and earlier, but not past a real object.
