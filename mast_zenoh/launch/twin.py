@@ -119,12 +119,13 @@ def _read(run_folder: Path, allowed: AllowedCode) -> Resolved:
 
 
 def _undriven(twin: Resolved) -> Resolved:
-    """The twin of a driven run with its scene prepared anew: what stands beside its roads keeps clear of its cars.
+    """The twin of a driven run with points with its scene prepared anew: what stands beside roads keeps clear of cars.
 
     The run's recording has become what happened in it.
     """
     happened = twin.recording
-    scenes = [spec.config["scene"] for spec in twin.nodes.values() if "scene" in spec.config]
+    configs = [spec.config for spec in twin.nodes.values()]
+    scenes = [config["scene"] for config in configs if "scene" in config and config.get("points")]
     if happened is None or not scenes:
         return twin
     scene: Scene = registry.build(scenes[0], Scene, "scenario.json: scene")
