@@ -44,8 +44,10 @@ class AttributionLimits:
     lie_m:     m, maximum distance from a false track to the object that an adversary inserted or moved there; the gate
                of the scorer: a track that is farther away is of something else
     same_m:    m, adversaries whose false objects are this near each other show the same object
-    object_m:  m, maximum distance from a duplicate track, or the track of an unevaluated object, to the truth object
-    astray_m:  m, maximum distance from an inaccurate track to its missed truth object
+    object_m:  m, maximum distance from a duplicate track, or the track of an unevaluated object, to the truth object,
+               and from the middle of inserted or removed points to what is detected there
+    astray_m:  m, maximum distance from an inaccurate track to its missed truth object, and from a false track to the
+               object that it comes to follow later
     hidden_m:  m, maximum distance from where an object was removed, moved or altered to its truth object
     least_move_m: m, smaller displacements do not count, because the metrics cannot detect them
     withheld_m: m, maximum distance from a missed truth object to the object that the command centre withheld
